@@ -1,7 +1,5 @@
 """Settings that all tests share. This file also lets every test import ``helpers``, and ``studies`` in a checkout."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

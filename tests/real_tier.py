@@ -1,15 +1,12 @@
 """Chemistries of the tier ``real`` for tests of its laws one by one: made by hand, or from a family in TOML."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.kernels.arrays import declared
+from chemlab.kernels.arrays import FloatArray, declared
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table
 from chemlab.physics.backends import law_addresses
@@ -19,8 +16,6 @@ from chemlab.physics.backends.real.kinetics import ALONE, integrate, react_work_
 from chemlab.physics.backends.real.real_chemistry import RealChemistry
 from chemlab.physics.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
 from chemlab.physics.surroundings import Surroundings
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @kernel

@@ -1,7 +1,5 @@
 """What loaders refuse: a text with one mistake in it, and an error that names all that a reader needs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A training run's files, as training writes them, for tests of what is made from them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -32,8 +30,7 @@ def write_run(
     seconds: float = 60.0,
     **settings: Any,
 ) -> Path:
-    """A run without checkpoints: ``returns`` by goal are its best policy's, the last one's are 0.1 less; evaluations by
-    step are the same for every goal; ``settings`` are arguments."""
+    """A run without checkpoints: ``returns`` by goal are the best policy's, 0.1 less the last one's."""
     run = Run(path)
     path.mkdir(parents=True)
     arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}

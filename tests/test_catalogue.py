@@ -1,7 +1,5 @@
 """Everyday chemicals in a flask: found by any name, boiling where handbooks say, dissolving as measured."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 import itertools
@@ -13,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import script
+from helpers import refused, script
 
 from chemlab.config.catalogue import (
     FAMILY,
@@ -50,9 +48,6 @@ BOILS_ELSEWHERE = {
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing that this machine has kept takes part."""
     monkeypatch.setenv("CHEMLAB_CATALOGUE", str(tmp_path / "kept"))
-
-
-# -- names ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [*NAMES, *map(str.upper, NAMES[:10])])
@@ -100,11 +95,7 @@ def test_every_name_leads_to_a_material() -> None:
     ],
 )
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        made()
-
-
-# -- data -------------------------------------------------------------------------------------------------------------
+    refused(message, made)
 
 
 def everyday(monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -129,8 +120,7 @@ def test_flasks_boil_where_the_handbook_says(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
-    """COSTALD and Rackett fits against DIPPR's and the reference equations, where both are there. Two solutes melt a
-    little above 298.15 K and have the density of the melt."""
+    """COSTALD and Rackett fits against DIPPR's and reference equations; two solutes have the density of the melt."""
     thermo: Any = pytest.importorskip("thermo")
     melts = {"cyclohexanol": "VDI_PPDS", "tert-butanol": "VDI_TABULAR"}
     off = {}
@@ -231,8 +221,7 @@ def test_a_strong_acid_is_neutralized_at_once() -> None:
 def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
     """4 mol warm the salt water past its boiling point; 8 mol in little water leave hot salt, at 1,140 K."""
     flask = Flask({"water": 20.0 if mol < 8.0 else 1.0, "KOH": mol})
-    acid = flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol})
-    acid.pour(flask, 1.0)
+    flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol}).pour(flask, 1.0)
     flask.mix()
     assert flask.vapor_pressure_kpa <= 1.001 * flask.pressure_kpa or flask.amounts["water"] < 1e-4
     assert bool(flask.events) is (mol > 1.0)
@@ -302,9 +291,6 @@ def test_an_acid_uses_up_a_solid_salt(tmp_path: Path) -> None:
     assert one.amounts["acetate"] + one.amounts["sodium_acetate"] == pytest.approx(0.08, rel=1e-6)
 
 
-# -- history ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_flask_remembers(tmp_path: Path) -> None:
     pot = Flask({"acetone": 3.0, "MeOH": 3.0, "water": 3.0}, capacity_l=1.0)
     head = pot.another()
@@ -327,22 +313,17 @@ def test_a_flask_remembers(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     pot.plot(tmp_path / "pot.png")
     assert (tmp_path / "pot.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match=r"unknown suffix .*choose from png"):
-        pot.plot(tmp_path / "pot.gif")
+    refused(r"unknown suffix .*choose from png", pot.plot, tmp_path / "pot.gif")
     pot.add("KNO3", 5.0)
     pot.add("KCl", 5.0)
     colors = {line.get_label(): line.get_color() for line in pot.plot().axes[1].lines}
     assert len(set(colors.values())) == len(colors) > 4
 
 
-# -- what is added ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")
 def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     pytest.importorskip("ugropy")
-    anisole = Flask.material("anisole")
-    assert anisole.boiling_point_k == pytest.approx(426.8, abs=1.0)
+    assert Flask.material("anisole").boiling_point_k == pytest.approx(426.8, abs=1.0)
     assert (tmp_path / "kept" / "anisole.toml").is_file()
     flask = Flask({"anisole": 1.0, "water": 5.0, "acetone": 1.0})
     assert flask.amounts["100-66-3"] == 1.0
@@ -355,8 +336,7 @@ def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     assert {tuple(row.split(",")[:2]) for row in rows} == {("acetone", "anisole"), ("anisole", "water")}
     Flask({"anisole": 2.0, "water": 5.0})
     assert (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines() == rows
-    with pytest.raises(ValueError, match="a mixture of hydrocarbons"):
-        Flask.material("petroleum ether")
+    refused("a mixture of hydrocarbons", Flask.material, "petroleum ether")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")

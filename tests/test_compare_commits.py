@@ -1,7 +1,5 @@
 """The comparison of two commits: what makes it fail. Checkouts say rates that their files hold; nothing is timed."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -29,11 +27,7 @@ def test_a_row_that_is_too_slow_twice_fails(tmp_path: Path) -> None:
     """The first call warms up; where three of the first five pairs are slow, five more are measured."""
     before = RATES.format(first="100.0", rest="100.0")
     for case, (first, rest, least, code) in enumerate(
-        (
-            ("50.0, 50.0, 50.0, 100.0, 100.0", "100.0", "0.9", 0),
-            ("70.0", "70.0", "0.7", 0),
-            ("70.0", "70.0", "0.71", 1),
-        )
+        (("50.0, 50.0, 50.0, 100.0, 100.0", "100.0", "0.9", 0), ("70.0", "70.0", "0.7", 0), ("70.0", "70.0", "0.71", 1))
     ):
         found = compared(tmp_path / str(case), before, RATES.format(first=first, rest=rest), "--least", least)
         assert found.returncode == code, found.stderr

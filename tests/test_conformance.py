@@ -1,7 +1,5 @@
 """Conformance checks: they pass on every bundled scenario, and find faults that a user's parts can have."""
 
-from __future__ import annotations
-
 import json
 import re
 import types
@@ -22,7 +20,6 @@ from chemlab.lab.experiments import ExperimentBatch
 PARTS = Path(__file__).parent / "parts"
 SEEN = "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]"
 COUNTED = "CALLS.append(0)\n    return np.full((len(members), 1), len(CALLS) / 1e6)\n\n\nCALLS: list[int] = []"
-CREATED = ("turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol")
 FAULTS = {
     "spaces": (SEEN, "return 2.0 + litres[:, None]", "must be from 0 to 1"),
     "seeds": (SEEN, "return np.random.random((len(members), 1))", "the same seed gives another episode"),
@@ -71,9 +68,7 @@ class Bench(CloggingBench):
 """
 
 
-def test_a_bench_alone_carries_nothing_into_the_next_experiment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bench_carries_nothing_into_the_next_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(PARTS.parent / "bench"))
     (tmp_path / "clogged.py").write_text(CLOGGED)
     file = tmp_path / "clogged.toml"
@@ -124,10 +119,8 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
         ({"vaporization_enthalpy_j_mol": 26.52}, "vaporization_enthalpy_j_mol: 26.52 is little .* in J/mol, not kJ"),
     ],
 )
-def test_numbers_of_a_material_that_can_hardly_be_meant(
-    change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scenario = load_scenario(mapping("wurtz_dodecane_direct"))
+def test_doubtful_numbers_of_a_material(change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load_scenario({"base": "wurtz_dodecane_direct"})
     ether = scenario.materials["diethyl_ether"].model_copy(update=change)
     monkeypatch.setitem(scenario.materials, "diethyl_ether", ether)
     assert re.match(rf"materials.diethyl_ether.{doubt}", "\n".join(doubts(scenario)))
@@ -152,12 +145,11 @@ def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> Non
 
 
 def test_the_highest_limits_take_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    tables = mapping("wurtz_dodecane")
-    tables["limits"] |= {"ticks": 100_000, "manager_actions": 100_000}
+    spec = load_scenario({"base": "wurtz_dodecane", "limits": {"ticks": 100_000, "manager_actions": 100_000}})
     rounds: list[int] = []
     over = types.SimpleNamespace(over=True)
     monkeypatch.setattr(conformance, "_played", lambda spec, seed, most: rounds.append(most) or over)
-    CHECKS["end"][1](load_scenario(tables))
+    CHECKS["end"][1](spec)
     assert rounds[0] <= 10_001
 
 
@@ -169,13 +161,11 @@ def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     assert command("check", "fictitious").count("passed") == len(CHECKS)
-    file = written(tmp_path, *CREATED)
+    file = written(tmp_path, "turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol")
     command("check", file, code=2)
     (fault,) = [one for one in json.loads(command("check", file, "--trust", "--json", code=1)) if one["error"]]
     assert (fault["name"], "C changed by" in fault["error"]) == ("conservation", True)
-    (tmp_path / "own.py").write_text(
-        "class Model:\n    def __init__(self, scenario):\n        self.names = scenario.nmaes\n"
-    )
+    (tmp_path / "own.py").write_text("class Model:\n    def __init__(self, spec):\n        self.names = spec.nmaes\n")
     (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[benches.rxn]\nmodel = "own.py:Model"\n')
     said = command("check", tmp_path / "a.toml", "--trust", code=2)
     assert ('own.py", line 3' in said, "error: " in said, "site-packages/typer" in said) == (True, True, False)

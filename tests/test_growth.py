@@ -1,7 +1,5 @@
 """Benchmarks of how costs grow: what they measure is what they say, and what they make of figures; nothing is timed."""
 
-from __future__ import annotations
-
 import gc
 import sys
 import tracemalloc

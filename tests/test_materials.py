@@ -1,7 +1,5 @@
 """Material files: what the loader refuses and what its messages say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pydantic

@@ -1,10 +1,4 @@
-"""Material data files: compared with the chemicals and thermo packages, and checked for consistency.
-
-Expected values come from the packages when the test runs: each value must be the one its cited compilation lists.
-``test_openchem.py`` compares it with the other compilations.
-"""
-
-from __future__ import annotations
+"""Material data files against the compilation that each value cites, and checked for consistency."""
 
 import functools
 import inspect
@@ -26,14 +20,11 @@ except ModuleNotFoundError:  # Python 3.10
 Material = dict[str, Any]
 
 DATA = Path(__file__).resolve().parents[1] / "chemlab" / "data" / "materials"
-FILES = ("solvents", "wurtz", "salts", "gases", "fictitious")
-NEW_FILES = ("organics", "acids", "snar", "minerals")
 ROOM_K = 298.15
 
 MASS, DENSITY, HEAT = "molar_mass_g_mol", "density_kg_l", "heat_capacity_j_mol_k"
 MELT, BOIL, VAPOR = "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol"
 PROPERTIES = (MASS, DENSITY, HEAT, MELT, BOIL, VAPOR)
-NUMERIC = (*PROPERTIES, "polarity")
 CRITICAL, FUSION, FORMATION = "critical_temperature_k", "fusion_enthalpy_j_mol", "formation_enthalpy_j_mol"
 REAL_PROPERTIES = (CRITICAL, FUSION, FORMATION)
 
@@ -47,9 +38,9 @@ def _load(files: tuple[str, ...]) -> list[tuple[str, str, Material]]:
     return rows
 
 
-ROWS = _load(FILES)
+ROWS = _load(("solvents", "wurtz", "salts", "gases", "fictitious"))
 MATERIALS: dict[str, Material] = {key: material for _, key, material in ROWS}
-NEW: dict[str, Material] = {key: material for _, key, material in _load(NEW_FILES)}
+NEW: dict[str, Material] = {key: material for _, key, material in _load(("organics", "acids", "snar", "minerals"))}
 ALL = MATERIALS | NEW
 REAL = [key for file, key, _ in ROWS if file != "fictitious"]
 FICTITIOUS = [key for file, key, _ in ROWS if file == "fictitious"]
@@ -58,9 +49,6 @@ PRODUCTS = ["dodecane", "5-methylundecane", "4-ethyldecane", "5,6-dimethyldecane
 PRODUCTS += ["4-ethyl-5-methylnonane", "4,5-diethyloctane"]
 GASES = {"air", "H2"}
 SOLVENTS = ["diethyl_ether", "ethyl_acetate", "hexane", "water"]
-
-
-# -- Looking values up in the packages -------------------------------------------------------------------------------
 
 
 chemicals = pytest.importorskip("chemicals")
@@ -126,20 +114,14 @@ def test_values_are_those_their_sources_list() -> None:
         assert value == expected, (key, field, cited)
 
 
-# -- Form of the files -----------------------------------------------------------------------------------------------
-
-
 def test_uncited_values_say_what_they_are() -> None:
     # A number that no compilation key backs must name a work, or admit being an estimate or a design value.
-    for key, field in itertools.product(REAL, NUMERIC):
+    for key, field in itertools.product(REAL, (*PROPERTIES, "polarity")):
         text = MATERIALS[key]["source"][field]
         named_work = re.search(r"\(\d{4}\)|CRC Handbook|IAPWS", text)
         admitted = text.startswith(("estimate: ", "design value", "unused by the model"))
         derived = "atomic weights" in text or text.startswith("ideal gas law")
         assert cited_key(MATERIALS[key], field) or named_work or admitted or derived, f"{key} {field}: {text}"
-
-
-# -- Composition and molar mass --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("key", [key for key in ALL if key not in FICTITIOUS])
@@ -174,9 +156,6 @@ def test_cas_number_belongs_to_the_substance(key: str) -> None:
         assert by_name.CASs == material["cas"]
 
 
-# -- Ions, polarity, appearance --------------------------------------------------------------------------------------
-
-
 # Measured E_T(30) in kcal/mol; tetramethylsilane (30.7) and water (63.1) define the ends of the scale.
 E_T_30 = {"diethyl_ether": 34.5, "water": 63.1, "hexane": 31.0, "ethyl_acetate": 38.1, "dodecane": 31.1}
 
@@ -198,8 +177,6 @@ def test_shades_and_colors_are_distinct() -> None:
         for one, other in itertools.combinations(group, 2):
             assert np.linalg.norm(rgb(one) - rgb(other)) >= apart, (one, other)
 
-
-# -- Spectra ---------------------------------------------------------------------------------------------------------
 
 WAVELENGTHS = np.linspace(200.0, 800.0, 200)
 PYRROLIDINYLS = ["ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"]

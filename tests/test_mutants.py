@@ -1,7 +1,5 @@
 """Mutants of the sources: each changes one line and stays Python, the choice is repeatable, faults are found."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Open chemistry: materials, pairs and reactions that commands write, against the shipped ones and closed forms."""
 
-from __future__ import annotations
-
 import json
 import math
 import shlex
@@ -59,18 +57,10 @@ DISAGREED = {("acetic_anhydride", "heat_capacity_j_mol_k"), ("2,4-difluoronitrob
 the second stands on data sheets, 1.451 kg/L, where the command can only estimate it, 1.40."""
 
 
-def shipped_compound(key: str) -> Compound:
-    material = shipped_materials()[key]
-    return compound_of(material.cas or str(material.smiles), key)
-
-
-# Materials ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("key", LIQUIDS)
 def test_shipped_liquids_are_regenerated(key: str) -> None:
-    made: Any = material_tables([shipped_compound(key)])[key]
     material: Any = shipped_materials()[key]
+    made: Any = material_tables([compound_of(material.cas or str(material.smiles), key)])[key]
     bounds = {"boiling_point_k": 0.015, "density_kg_l": 0.03, "heat_capacity_j_mol_k": 0.05}
     for field, bound in (bounds | {"vaporization_enthalpy_j_mol": 0.05}).items():
         if (key, field) not in DISAGREED:
@@ -337,9 +327,6 @@ def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: 
     assert not made.keys() & shipped_pairs().keys()
 
 
-# Reactions ----------------------------------------------------------------------------------------------------------
-
-
 def test_the_wurtz_template_makes_the_papers_products_and_nothing_else() -> None:
     materials = shipped_materials()
     found, species = expand([Template(WURTZ)], [*CHLOROHEXANES, "Na"], materials)
@@ -369,18 +356,15 @@ def test_a_family_is_loaded_with_heats_and_rates_as_given(tmp_path: Path) -> Non
 
 
 def test_products_react_on_and_side_reactions_are_guessed_as_such() -> None:
-    templates = [
-        Template("[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]"),
-        Template("[c:1][F:2].[OX2H2:3]>>[c:1][O:3].[F:2]", side=True),
-    ]
-    found, species = expand(templates, ["2,4-difluoronitrobenzene", "pyrrolidine", "water"], shipped_materials())
+    amine, known = Template("[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]"), shipped_materials()
+    water = Template("[c:1][F:2].[OX2H2:3]>>[c:1][O:3].[F:2]", side=True)
+    reactants = ["2,4-difluoronitrobenzene", "pyrrolidine"]
+    found, species = expand([amine, water], [*reactants, "water"], known)
     main = [f for f in found if not f.template.side]
     # ortho and para, and each of them again; the doubly substituted product is one. Phenols react on, too.
     assert len([s for s in species if s.key == "bis_pyrrolidinyl"]) == 1
     assert any(f.template.side for f in found)
-    once, _ = expand(templates[:1], ["2,4-difluoronitrobenzene", "pyrrolidine"], shipped_materials(), generations=1)
-    twice, _ = expand(templates[:1], ["2,4-difluoronitrobenzene", "pyrrolidine"], shipped_materials(), generations=2)
-    assert (len(once), len(twice)) == (2, 4)
+    assert [len(expand([amine], reactants, known, generations=most)[0]) for most in (1, 2)] == [2, 4]
     assert len(main) >= 4
 
 
@@ -468,9 +452,6 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
     assert again.read_text() == path.read_text()
 
 
-# Without the extra --------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def anhydride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A material file of what UNIFAC has no groups for."""
@@ -501,8 +482,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
 
 
 def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
-    """Catalogue's liquids are known by their key, and a form that extrapolates too far is no one's. Shipped pairs stay
-    as they are."""
+    """Catalogue liquids are known by key; forms that extrapolate too far are left out; bundled pairs stay."""
     assert "1 pair, all bundled" in command("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", code=2)
     assert not (tmp_path / "p.toml").exists()
     command("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")
@@ -511,11 +491,6 @@ def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
     forms = [row["source"] for row in make_pairs(two, known, ideal=True)]
     assert forms == [catalogue_pairs([frozenset(names)])[frozenset(names)].source for names in two]
     assert forms[:2] == ["UNIFAC", "UNIFAC"]
-
-
-# A laboratory -------------------------------------------------------------------------------------------------------
-
-ASPIRIN = "acetylsalicylic_acid"
 
 
 @pytest.fixture
@@ -592,10 +567,11 @@ def test_hydrogen_is_matched_but_no_gas_is_put_in(tmp_path: Path) -> None:
 def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:
     # Water gives salicylic acid back of aspirin: no way to aspirin, and no reason to add water.
     family = load_reactions("aspirin", shipped_materials())
-    assert feeds("acetylsalicylic_acid", family, 1.0) == {"salicylic_acid": 1.0, "acetic_anhydride": 1.0}
-    assert family.towards("acetylsalicylic_acid") == {"acetylsalicylic_acid", "salicylic_acid", "acetic_anhydride"}
+    goal, made_of = "acetylsalicylic_acid", {"salicylic_acid", "acetic_anhydride"}
+    assert feeds(goal, family, 1.0) == dict.fromkeys(made_of, 1.0)
+    assert family.towards(goal) == {goal, *made_of}
     # And that takes the acid and its anhydride to make, but nothing that is made of them.
-    assert family.towards("acetic_acid") == {"acetic_acid", "salicylic_acid", "acetic_anhydride", "water", ASPIRIN}
+    assert family.towards("acetic_acid") == {"acetic_acid", *made_of, "water", goal}
 
 
 def test_a_catalyst_is_put_in_and_fed(tmp_path: Path) -> None:
@@ -642,8 +618,7 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
     free = ReactionFamily(name="none")
     chosen = {goal: solvent_for(goal, free, materials) for goal in ("ethyl_acetate", "toluene", "diethyl_ether")}
     for goal, solvent in chosen.items():
-        apart = materials[solvent].boiling_point_k - materials[goal].boiling_point_k
-        assert abs(apart) > 35.0
+        assert abs(materials[solvent].boiling_point_k - materials[goal].boiling_point_k) > 35.0
     assert materials[chosen["toluene"]].boiling_point_k < materials["toluene"].boiling_point_k
 
 
@@ -666,9 +641,6 @@ def test_a_laboratory_that_cannot_be_is_refused(acetate: Path, words: list[str],
     assert not lab.exists()
 
 
-# What commands are given ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("key", ["a\nb", "\x1b[31m", "a" * 101, "lock"])
 def test_an_id_is_one_that_a_file_may_have(key: str) -> None:
     with pytest.raises(DataError, match="--name"):
@@ -680,10 +652,9 @@ def test_templates_that_explode_come_to_an_end(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(DataError, match=r"more than|ways|generations"):
         expand([chain], CHLOROHEXANES, shipped_materials(), generations=10)
     monkeypatch.setattr("chemlab.openchem.templates._MOST_OUTCOMES", 2000)
-    known = shipped_materials()
     anything = "[*:1].[*:2].[*:3].[*:4]>>[*:1].[*:2].[*:3].[*:4]"
     with pytest.raises(DataError, match="more than 2000 sets of products"):
-        expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], known)
+        expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], shipped_materials())
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 0.0, -1.0])

@@ -1,7 +1,5 @@
 """What is shipped is complete: a wheel with the packages and their data, sources with everything that tests them."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import shutil
@@ -48,10 +46,7 @@ def files_of(tree: Path, *folders: str) -> set[str]:
 
 @pytest.mark.slow
 def test_the_wheel_has_the_packages_and_nothing_else(tree: Path, tmp_path: Path) -> None:
-    expected = {
-        path if path.startswith("chemlab/") else f"chemlab/{path}"
-        for path in files_of(tree, "chemlab", "agents", "scenarios")
-    }
+    expected = {f"chemlab/{path}" for path in files_of(tree, "agents", "scenarios")} | files_of(tree, "chemlab")
     with zipfile.ZipFile(build(tree, "wheel", tmp_path)) as wheel:
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert names == expected | {"chemlab_seats.py"}

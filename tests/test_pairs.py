@@ -1,7 +1,4 @@
-"""Activity coefficients: the NRTL equation, pair files and what they refuse, and the shipped pairs against UNIFAC and
-measured azeotropes."""
-
-from __future__ import annotations
+"""Activity coefficients: NRTL, pair files and refusals, bundled pairs against UNIFAC and measured azeotropes."""
 
 import itertools
 import math
@@ -21,9 +18,7 @@ from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
 
 ROOT = Path(__file__).parent.parent
-MOLECULES = sorted(
-    name for name, material in shipped_materials().items() if material.role in ("solvent", "solute") and material.real
-)
+MOLECULES = sorted(key for key, m in shipped_materials().items() if m.role in ("solvent", "solute") and m.real)
 
 FILE = """
 pairs = [
@@ -42,9 +37,6 @@ def file(tmp_path: Path) -> Path:
     path = tmp_path / "pairs.toml"
     path.write_text(FILE)
     return path
-
-
-# The equation -------------------------------------------------------------------------------------------------------
 
 
 def test_two_materials_at_infinite_dilution_follow_the_closed_form() -> None:
@@ -75,9 +67,6 @@ def test_activity_coefficients_are_those_of_another_library() -> None:
     x = generator.dirichlet(np.ones(5))
     other = thermo.NRTL(T=300.0, xs=x.tolist(), tau_as=tau.tolist(), alpha_cs=alpha.tolist())
     np.testing.assert_allclose(log_activity_coefficients(x, tau, alpha), np.log(other.gammas()), rtol=1e-12)
-
-
-# Files --------------------------------------------------------------------------------------------------------------
 
 
 def test_a_table_has_every_parameter_at_its_place(file: Path) -> None:
@@ -120,12 +109,8 @@ def test_a_wrong_pair_is_refused(file: Path, old: str, new: str, parts: list[str
     refused(lambda: load_pairs([file]), file, *parts)
 
 
-# The shipped pairs --------------------------------------------------------------------------------------------------
-
-
 def test_every_two_shipped_molecules_are_a_pair() -> None:
-    expected = {frozenset(two) for two in itertools.combinations(MOLECULES, 2)}
-    assert set(shipped_pairs()) == expected
+    assert set(shipped_pairs()) == {frozenset(two) for two in itertools.combinations(MOLECULES, 2)}
     assert np.isfinite(pair_table(MOLECULES, shipped_pairs()).tau(298.15)).all()
 
 
@@ -147,14 +132,8 @@ MISCIBLE = [
     ("ethyl_acetate", "toluene"),
     ("acetic_acid", "water"),
 ]
-APART = [
-    ("hexane", "water"),
-    ("dodecane", "water"),
-    ("1-chlorohexane", "water"),
-    ("2-chlorohexane", "water"),
-    ("1-hexene", "water"),
-    ("toluene", "water"),
-]
+OILS = ("hexane", "dodecane", "1-chlorohexane", "2-chlorohexane", "1-hexene", "toluene")
+APART = [(oil, "water") for oil in OILS]
 
 
 @pytest.fixture
@@ -229,9 +208,6 @@ def test_what_shares_out_between_a_solvent_and_water_is_as_measured(study: Calla
     for (solute, solvent), (log_k, _) in distribution.MEASURED.items():
         found = distribution.log_k(solute, solvent, distribution.saturated(solvent), distribution.shipped_coefficients)
         assert found == pytest.approx(log_k, abs=0.2), (solute, solvent)
-
-
-# The tool -----------------------------------------------------------------------------------------------------------
 
 
 def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:

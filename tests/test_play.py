@@ -1,7 +1,5 @@
 """chemlab play and chemlab export demos, as people meet them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -29,8 +27,7 @@ def test_a_whole_episode_is_a_record_like_any_other(tmp_path: Path) -> None:
     assert "The episode is over: submitted" in shown
     assert "(meanwhile: rxn_0 20x)" in shown
     assert "experiment over" not in shown  # the score of somebody else's experiment is not the manager's to know
-    result = verify_record(path)
-    assert result.status == "ok"
+    assert verify_record(path).status == "ok"
     record = read_record(path)
     assert record.header["policies"] == dict.fromkeys(record.header["agents"], "scripted") | {"manager_0": "human"}
     decided = [turn["play"]["manager_0"][1] for turn in record.turns if "manager_0" in turn["play"]]
@@ -51,10 +48,9 @@ def test_a_person_at_a_bench(tmp_path: Path) -> None:
 
 def test_leaving_keeps_the_record_so_far(tmp_path: Path) -> None:
     for number, last in enumerate((["q"], ["Quit"], [])):
-        path = tmp_path / f"{number}.jsonl"
+        path, part = tmp_path / f"{number}.jsonl", tmp_path / f"{number}.jsonl.part"
         code, shown = play(path, [*SCRIPT[:2], *last])
         assert (code, path.exists()) == (0, False)
-        part = path.with_name(f"{number}.jsonl.part")
         assert part.name in shown
         assert verify_record(part).status == "torn"
         assert len(read_record(part).turns) == 22  # start, wait, 20 steps of the reaction

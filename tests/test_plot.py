@@ -1,18 +1,15 @@
 """chemlab plot: books that balance, and pictures that say what was recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import FEATURED, mapping, record_episode
+from helpers import FEATURED, laboratory, mapping, record_episode, refused
 from typer.testing import CliRunner
 
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
-from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, RecordError, read_record
 from chemlab.render.mole_balance import PLACES, mole_balance
 from chemlab.roles.manager_state import INSTRUMENTS
@@ -26,20 +23,13 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_episode(tmp_path_factory.mktemp("plot") / "scripted.jsonl")
 
 
-# -- where the moles went -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_the_books_balance(name: str, tmp_path: Path) -> None:
     """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
     scenario = load_scenario(name)
     balance = mole_balance(read_record(record_episode(tmp_path / "one.jsonl", name, "careless")))
-    start = np.array(
-        [
-            scenario.stock.get(material, 0.0) + sum(v.contents.get(material, 0.0) for v in scenario.shelf.vessel)
-            for material in balance.materials
-        ]
-    )
+    contents = [scenario.stock, *(vessel.contents for vessel in scenario.shelf.vessel)]
+    start = np.array([sum(held.get(material, 0.0) for held in contents) for material in balance.materials])
     assert balance.groups
     for group in balance.groups:
         totals = balance.amounts(group).sum(axis=(1, 2))
@@ -69,8 +59,7 @@ def test_places_agree_with_the_record(scripted: Path) -> None:
 
 def test_what_instruments_take_is_a_sample(tmp_path: Path) -> None:
     """Three chromatograms take a thousandth each of what is left: 4 (1 - 0.999^3) mol of ether."""
-    env = raw_env("wurtz_dodecane")
-    env.reset(seed=0)
+    env = laboratory("wurtz_dodecane")
     actions = env.laboratories.actions
     from chemlab.record import Play
 
@@ -95,11 +84,8 @@ def test_what_instruments_take_is_a_sample(tmp_path: Path) -> None:
 def test_books_that_do_not_balance_are_refused(scripted: Path) -> None:
     balance = mole_balance(read_record(scripted))
     balance.inventories[2].amounts[1, balance.materials.index("dodecane")] += 1e-6
-    with pytest.raises(ValueError, match="off by"):
-        balance.check()
+    refused("off by", balance.check)
 
-
-# -- pictures -------------------------------------------------------------------------------------------------
 
 pytest.importorskip("matplotlib")
 
@@ -109,8 +95,7 @@ def overlaps(figure: Any, inside: float = 1.0) -> list[tuple[str, str]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.text import Text
 
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    FigureCanvasAgg(figure).draw()
     texts = [t for t in figure.findobj(Text) if t.get_text().strip() and t.get_visible() and t.get_rotation() == 0.0]
     boxes = [(t.get_text(), t.get_window_extent()) for t in texts]
     found = []
@@ -199,9 +184,6 @@ def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:
     assert measured == np.flatnonzero(paid).tolist(), "a measurement costs when it is taken"
     texts = "\n".join(text.get_text() for text in draw_timeline(found).texts)
     assert "1  start rxn_0 on slot 0, goal dodecane" in texts
-
-
-# -- the command ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "ending"), [("timeline", "png"), ("spectra", "svg"), ("moles", "png")])

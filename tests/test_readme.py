@@ -1,7 +1,5 @@
 """README tells the truth: its Python runs when pasted, and what it names exists."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -65,13 +63,8 @@ def test_runs_that_differ_in_their_seeds_are_one_row(monkeypatch: pytest.MonkeyP
     cells = ["`runaway`", "0 (0.500)", "", "0.30 [0.00, 1.00]", own, "", "1 (0.500)"]
     assert baselines.table()[2] == f"| {' | '.join(cells)} |"
     assert baselines.clones()[2] == "| `runaway` |  |  |  | 0.70 [0.00, 1.00] |"
-    assert [row[0] for row in baselines.standings()["runaway"]] == [
-        "oracle",
-        "benches: clones, then PPO",
-        "from nothing",
-        "scripted",
-        "random legal play",
-    ]
+    names = ["oracle", "benches: clones, then PPO", "from nothing", "scripted", "random legal play"]
+    assert [row[0] for row in baselines.standings()["runaway"]] == names
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")

@@ -1,7 +1,4 @@
-"""Registries of environments are filled whichever comes first, chemlab or their library; nothing comes unasked; and a
-checkout works as it is."""
-
-from __future__ import annotations
+"""Registries are filled in either order of imports; nothing is imported unasked; a checkout works."""
 
 import importlib
 import os
@@ -87,8 +84,6 @@ def test_a_registered_library_keeps_its_own_loader() -> None:
     show = "import gymnasium; print(type(gymnasium.__loader__).__name__, type(gymnasium.__spec__.loader).__name__)"
     assert run(f"import chemlab; {show}") == run(show)
 
-
-# -- a checkout works as it is: installed, installed otherwise, or not at all ----------------------------------------
 
 ROOT = Path(__file__).parent.parent
 CHECKOUT = pytest.mark.skipif(not (ROOT / "chemlab").is_dir(), reason="not a checkout")

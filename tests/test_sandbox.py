@@ -1,7 +1,5 @@
 """A flask by hand: the kernels' own numbers, balances, closed forms, and errors that change nothing."""
 
-from __future__ import annotations
-
 import copy
 import doctest
 import itertools
@@ -15,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from helpers import Glassware
+from helpers import Glassware, refused
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -25,14 +22,12 @@ import chemlab.sandbox
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import shipped_materials
 from chemlab.envs.role_env import RoleEnv
+from chemlab.kernels.arrays import FloatArray
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import BoilingWarning, Flask, IonizationWarning, SaltWarning, SpillWarning
 
-FloatArray = npt.NDArray[np.float64]
-
-ROOT = Path(__file__).parent.parent
 MATERIALS = shipped_materials()
 TIERS = ("paper", "real")
 NAPHTHALENE: Any = MATERIALS["naphthalene"]
@@ -149,8 +144,7 @@ def test_heat_goes_somewhere(physics: str) -> None:
     # In the paper's tier the air above the contents is heated, too: up to 2 J/K.
     assert heated.taken_j == pytest.approx(inside + heated.condensed_j, rel=1e-9 if physics == "real" else 1e-3)
     warm = flask.temperature_k
-    taken = flask.cool(2000.0)
-    assert taken == pytest.approx(2000.0)
+    assert flask.cool(2000.0) == pytest.approx(2000.0)
     rel = 1e-9 if physics == "real" else 0.01
     assert warm - flask.temperature_k == pytest.approx(2000.0 / heat_capacity(flask), rel=rel)
     assert flask.cool(1e9, coolest_k=280.0) < 1e9
@@ -281,8 +275,7 @@ def test_an_edited_file_is_read_again(decay: str) -> None:
     assert math.log(left[1]) == pytest.approx(factor * math.log(left[0]), rel=1e-4)
     # Matter of two chemistries is not mixed, and the old flask learns nothing from the new file.
     before = seen(old)
-    with pytest.raises(ValueError, match="edited after this flask was made"):
-        old.pour(new, 0.5)
+    refused("edited after this flask was made", old.pour, new, 0.5)
     with pytest.raises(DataError, match="edited after this flask was made; make a new flask"):
         old.add("toluene", 0.1)
     assert seen(old) == before
@@ -292,7 +285,7 @@ def test_an_edited_file_is_read_again(decay: str) -> None:
 
 
 def test_material_and_pair_files_are_read_again_after_an_edit(tmp_path: Path) -> None:
-    shipped = read_toml(ROOT / "chemlab" / "data" / "materials" / "solvents.toml")["hexane"]
+    shipped = read_toml(Path(__file__).parent.parent / "chemlab" / "data" / "materials" / "solvents.toml")["hexane"]
     materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
     masses, pressures = [], []
     for density, b in ((0.65, 0.0), (0.5, 300.0)):
@@ -378,8 +371,7 @@ def test_a_product_that_crystallizes_draws_its_equilibrium(tmp_path: Path, rate:
     settings = isomers(tmp_path, rate)
     for calls in (1, 7, 60):
         flask = Flask({"isomer": start[0], "naphthalene": 0.55, "toluene": solvent}, temperature_k=kelvin, **settings)
-        place = flask._shelf.layout.dissolved.index("naphthalene")
-        flask._shelf.dissolved[0, 0, place] = [0.0, start[1]]
+        flask._shelf.dissolved[0, 0, flask._shelf.layout.dissolved.index("naphthalene")] = [0.0, start[1]]
         for _ in range(calls):
             flask.react(seconds / calls, kelvin)
         crystals = flask.layers[0].contents["naphthalene"]
@@ -695,8 +687,7 @@ def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
     ],
 )
 def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        made()
+    refused(message, made)
 
 
 @pytest.mark.parametrize(
@@ -727,8 +718,7 @@ def test_what_cannot_be_done_changes_nothing(work: Callable[[Flask, Flask], obje
     flask = Flask(MIXTURE, capacity_l=2.0)
     other = flask.another()
     before = seen(flask), seen(other)
-    with pytest.raises(ValueError, match=message):
-        work(flask, other)
+    refused(message, work, flask, other)
     assert (seen(flask), seen(other)) == before
 
 
@@ -745,8 +735,7 @@ def test_what_is_too_stiff_changes_nothing(
 
 
 def test_paper_has_no_columns_and_no_materials_without_polarity() -> None:
-    with pytest.raises(ValueError, match="a column needs physics='real'"):
-        Flask({"water": 1.0}, physics="paper").heat(1.0, stages=2)
+    refused("a column needs physics='real'", Flask({"water": 1.0}, physics="paper").heat, 1.0, stages=2)
     unknown = next(name for name, m in MATERIALS.items() if m.polarity is None and m.role not in ("gas", "ion"))
     with pytest.raises(DataError, match=f"flask: materials: '{re.escape(unknown)}' has no polarity"):
         Flask({unknown: 1.0}, physics="paper")
@@ -769,10 +758,8 @@ def test_it_has_a_picture() -> None:
         where.append(column.index(color))
     assert where[0] > where[1]  # water below
     assert "data:image/png;base64," in flask._repr_html_()
-    with pytest.raises(ValueError, match="at least 120"):
-        flask.picture(50, 50)
-    with pytest.raises(ValueError, match="at most 8192 each, given 100000 x 100000"):
-        flask.picture(100_000, 100_000)
+    refused("at least 120", flask.picture, 50, 50)
+    refused("at most 8192 each, given 100000 x 100000", flask.picture, 100_000, 100_000)
 
 
 # -- examples ---------------------------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """The shelf: views, snapshots, totals, and the text of a vessel."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

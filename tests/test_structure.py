@@ -1,7 +1,5 @@
 """How the code is put together: which modules import which, and how much kernels are handed."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib.metadata

@@ -1,7 +1,5 @@
 """The shipped syntheses: what their files say, what scripted agents make of them, what was published about them."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import math
@@ -50,8 +48,7 @@ def test_lint(name: str) -> None:
     assert scenario.summary.endswith(".")
     assert set(scenario.costs.stock_per_mol) <= set(scenario.stock)
     # A synthesis of one's own may begin with it.
-    cheap = load_scenario({"base": name, "name": "cheap", "costs": {"tick": 0.0}})
-    assert cheap.materials == scenario.materials
+    assert load_scenario({"base": name, "name": "cheap", "costs": {"tick": 0.0}}).materials == scenario.materials
 
 
 @pytest.mark.parametrize("name", slow_but(SYNTHESES, "aspirin", "snar"))
@@ -60,8 +57,7 @@ def test_scripted_agents_make_it_safely(name: str) -> None:
     assert result.score > WORTH[name]
     assert result.score > played(name, "random").score + 0.3
     assert result.costs["illegal_actions"] == 0.0
-    accidents = {event: amount for event, amount in result.safety_events.items() if amount > 0.0}
-    assert not accidents
+    assert not {event: amount for event, amount in result.safety_events.items() if amount > 0.0}
 
 
 def test_the_table_of_results_is_of_these_scenarios() -> None:
@@ -74,9 +70,6 @@ def test_the_table_of_results_is_of_these_scenarios() -> None:
             result = played(name, policy)
             expected = [result.submitted_mol, result.purity, result.score]
             assert [float(number) for number in numbers] == pytest.approx(expected, rel=0.2, abs=0.02)
-
-
-# -- what was published -----------------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -135,14 +128,13 @@ def test_water_takes_aspirin_and_the_anhydride_apart_as_fast_as_was_measured() -
 
 def test_snar_follows_the_published_profile() -> None:
     """Which is with one amine to a substitution: they differ the less the more amine there is."""
-    for row in rows_of("snar"):
-        if "ortho" in row.quantity and "5 equivalents" in row.quantity:
-            assert row.chemlab == pytest.approx(row.published, rel=0.12)
+    rows = [row for row in rows_of("snar") if "ortho" in row.quantity and "5 equivalents" in row.quantity]
+    assert [row.chemlab for row in rows] == pytest.approx([row.published for row in rows], rel=0.12)
+    assert len(rows) == 6
 
 
 def test_what_rounding_leaves_of_a_liquid_is_none() -> None:
-    """A dry vessel with traces of everything, as random play has left it, and crystals that are put in: concentrations
-    in 8e-14 litres are too stiff."""
+    """Traces in a dry vessel, and crystals put in: concentrations in 8e-14 litres are too stiff."""
     batch = ExperimentBatch("aspirin", "rxn")
     batch.reset(batch.members)
     row, layout = batch.shelf.rows[batch.experiments.places[0, 0]], batch.shelf.layout

@@ -1,7 +1,5 @@
 """Adversaries of an audit: controllers that choose among plans by what agents have observed, and learners."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,9 +11,7 @@ from chemlab.roles.manager_actions import ManagerActions
 
 CAMPAIGN = load_scenario("campaign")
 CODE, CONTEXT = ManagerActions.of(CAMPAIGN).encode, (CAMPAIGN.goals[0],) * 4
-PLAN = tuple(
-    action for slot in range(4) for action in (CODE("start", "rxn_0", slot, CONTEXT[0]), CODE("submit", slot, slot))
-)
+PLAN = tuple(a for slot in range(4) for a in (CODE("start", "rxn_0", slot, CONTEXT[0]), CODE("submit", slot, slot)))
 TEAM = TeamPlan(PLAN, ((((1.0, 0.5, 0.0),),),))
 
 

@@ -1,7 +1,5 @@
 """Learning with advice: scripted managers that take back what is not played, and learners that see what they would."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -54,13 +52,11 @@ def test_who_follows_the_advice_plays_what_the_advisor_plays(scenario: str) -> N
 
 @pytest.mark.parametrize("scenario", MANAGED)
 def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
-    """An advisor that hears that nothing was done, where nothing has changed, gives the same advice again; so does one
-    that has its memory of before that."""
+    """An advisor told that nothing was done, or with its earlier memory, gives the same advice again."""
     labs = Laboratories(scenario, 1)
     managers: list[Any] = [make_policies("scripted", labs, 0)["manager_0"] for _ in range(2)]
     manager, other = managers
-    labs.seed(0, 3)
-    labs.reset(labs.members)
+    labs.begin(3)
     member, wait = labs.members, np.array([labs.actions.encode("wait")])
     for turn in range(6):
         given = labs.observe(0, member), labs.mask(0, member), np.array([turn]), member
@@ -101,8 +97,7 @@ def test_who_only_watches_knows_what_is_to_be_done(scenario: str) -> None:
     watched = Watched(policies["manager_0"], make_policies("scripted", labs, 0)["manager_0"])
     play_laboratory(labs, {**policies, "manager_0": watched}, None, 7)
     # Some draw what they think of, and whoever hears of an order taken guesses which.
-    least = {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
-    assert np.mean(watched.agreed) >= least
+    assert np.mean(watched.agreed) >= {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
 
 
 def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
@@ -148,9 +143,6 @@ def test_the_episode_s_seed_is_the_teacher_s_seed_too() -> None:
         )
         drawn.append(seen.tolist())
     assert drawn[0] == drawn[1]
-
-
-# -- learners -------------------------------------------------------------------------------------------------
 
 
 def arguments(**more: Any) -> Any:
@@ -242,13 +234,10 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     assert announced == ["scripted"]
     assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
-    card = load_pretrained(best / "manager").card
-    assert card.advice == "scripted"
+    assert load_pretrained(best / "manager").card.advice == "scripted"
     labs = Laboratories("rush", 2, split="validation")
-    found = [
-        play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns
-        for name in (str(tmp_path / "run"), str(best / "manager.safetensors"))
-    ]
+    names = (str(tmp_path / "run"), str(best / "manager.safetensors"))
+    found = [play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns for name in names]
     np.testing.assert_array_equal(*found)
     exported = export_run(tmp_path / "run", tmp_path / "mine")
     assert exported.advice == "scripted"
@@ -256,10 +245,9 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
 
 
 def test_what_does_not_go_with_advice(tmp_path: Path) -> None:
-    algorithm = "hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"
-    refused("a2c", algorithm, arguments, algo="a2c")
-    refused("unsafe", "bc: hints are cloned, so it must be 'scripted'; leave it out", arguments, bc="scripted:unsafe")
+    refused("hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c", arguments, algo="a2c")
+    refused("bc: hints are cloned, so it must be 'scripted'; leave it out", arguments, bc="scripted:unsafe")
     own = arguments(env_id=None, scenario="wurtz_dodecane", bench="dit")
     from chemlab.agents.train.learn import train
 
-    refused("dit", "hints: are for a laboratory's manager; dit learns here", train, own, tmp_path / "run")
+    refused("hints: are for a laboratory's manager; dit learns here", train, own, tmp_path / "run")

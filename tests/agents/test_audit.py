@@ -1,7 +1,5 @@
 """The audit: its scale, its measures on scenarios of which the answers are known, going on where it was."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -57,10 +55,7 @@ def test_the_interval_of_a_scale_that_does_not_vary_is_students() -> None:
 
 @pytest.mark.parametrize("priced", [False, True])
 def test_a_scenario_that_cannot_be_solved_is_said_to_be_one(priced: bool) -> None:
-    """One tick: every policy scores 0, so there is no scale, and a sentence takes its place.
-
-    Where random actions cost something, doing nothing scores above them, and is no solution either.
-    """
+    """In one tick every policy scores 0: no scale. Where random actions cost, doing nothing is no solution either."""
     spec = load_scenario("wurtz_dodecane_direct")
     nothing: dict[str, Any] = {"limits": spec.limits.model_copy(update={"ticks": 1})}
     if not priced:
@@ -89,10 +84,7 @@ def test_constant_actions_of_benches_are_searched() -> None:
 
 @pytest.mark.slow
 def test_a_scenario_that_needs_memory_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the first batches of a campaign tell holds for the later ones, and every measurement has a price.
-
-    Both policies are scripted: searches, whose plans would come to less, are left out.
-    """
+    """A campaign's first batches tell of the later ones. Both policies are scripted; searches are left out."""
     searched = {"scores": [-1.0] * 20, "everybody": [-1.0] * 20, "chosen": [-1.0], "plans": [], "teams": []}
     for kind in ("plan", "everybody", "replay"):
         monkeypatch.setitem(jobs._KINDS, kind, lambda *_, **__: searched)
@@ -109,8 +101,7 @@ def test_the_oracle_is_never_below_a_policy(one_goal: Audited) -> None:
     scored = {path.stem: json.loads(path.read_text())["result"]["scores"] for path in keep.glob("*.json")}
     planner = foreseen({name: {"scores": own} for name, own in scored.items() if name.startswith("foresee")})
     rows = [np.array(scored[name]) for name in ("random", "test", "idle", "plan", "everybody", "replay")]
-    oracle = np.maximum.reduce([planner, *rows])
-    assert oracle.mean() <= found["oracle"]["score"] + 1e-12
+    assert np.maximum.reduce([planner, *rows]).mean() <= found["oracle"]["score"] + 1e-12
     assert found["strongest"]["value"] <= 1.0
     assert max(found["open_loop"]["ways"].values()) <= found["strongest"]["value"]
 
@@ -242,8 +233,9 @@ def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
 
 
 def test_stored_audits_are_of_the_scenarios_as_they_are() -> None:
-    folder = Path(__file__).parents[2] / "docs" / "results" / "audits"
-    for path in sorted(folder.glob("*.json")):
+    paths = sorted((Path(__file__).parents[2] / "docs" / "results" / "audits").glob("*.json"))
+    assert len(paths) > 10
+    for path in paths:
         found = json.loads(path.read_text(encoding="utf-8"))
         assert found["scenario"] == path.stem
         again = f"make it again: chemlab audit {path.stem} --out {path}"

@@ -1,7 +1,5 @@
 """Demonstrations: what datasets hold is what happens in the environments they are of."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path
@@ -11,13 +9,12 @@ from unittest.mock import Mock
 import gymnasium
 import numpy as np
 import pytest
-from helpers import command, record_episode, refused
+from helpers import command, laboratory, record_episode, refused
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations, write_datasets
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.record import read_record
 from chemlab.render.history import RecordReplay
@@ -29,17 +26,11 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_episode(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl", named=True)
 
 
-# -- what is in them ------------------------------------------------------------------------------------------
+PLAYED = [("wurtz_two_lines", "scripted", {}), ("wurtz_two_lines", "careless", {}), ("wurtz_safe", "careless", {})]
 
 
 @pytest.mark.parametrize(
-    ("scenario", "policy", "more"),
-    [
-        ("wurtz_two_lines", "scripted", {}),
-        ("wurtz_two_lines", "careless", {}),
-        ("wurtz_safe", "careless", {}),
-        ("wurtz_dodecane", "scripted", {"rewards": "mixed"}),
-    ],
+    ("scenario", "policy", "more"), [*PLAYED, ("wurtz_dodecane", "scripted", {"rewards": "mixed"})]
 )
 def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path: Path) -> None:
     """Rewards of an agent's episodes add up to the record's; turns and costs likewise."""
@@ -71,10 +62,8 @@ def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path:
 
 def test_agents_saw_this(tmp_path: Path) -> None:
     """Observations, masks and elapsed ticks are those of the AEC environment, where the same actions are played."""
-    path = record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True)
-    found = read_record(path)
-    env = raw_env("wurtz_two_lines")
-    env.reset(seed=8)
+    found = read_record(record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True))
+    env = laboratory("wurtz_two_lines", 8)
     told = demonstrations(found)
     at = {agent: [(d, i) for d in episodes for i in range(len(d.actions))] for agent, episodes in told.items()}
     for turn in found.turns:
@@ -133,9 +122,6 @@ def test_an_unfinished_record_is_truncated(scripted: Path, tmp_path: Path) -> No
     assert [d.truncated for d in told["manager_0"]] == [True]
     assert [d.terminated for d in told["rxn_0"]] == [True]
     assert [(d.terminated, d.truncated) for d in told["ext_0"]] == [(True, False), (False, True)][: len(told["ext_0"])]
-
-
-# -- datasets -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -223,8 +209,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
         dataset = minari.load_dataset(f"tests/benches/{agent}-v0")
         env = RoleEnv("wurtz_dodecane", bench=key)
         assert (dataset.observation_space, dataset.action_space) == (env.observation_space, env.action_space)
-        recovered = dataset.recover_environment()
-        assert recovered.unwrapped.bench.key == key
+        assert dataset.recover_environment().unwrapped.bench.key == key
         told = demonstrations(read_record(scripted))[agent]
         for d, episode in zip(told, dataset.iterate_episodes(), strict=True):
             np.testing.assert_array_equal(np.array(d.observations), episode.observations)
@@ -245,15 +230,14 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     command(*arguments, "--force")
 
 
-def test_a_dataset_is_replaced_by_a_whole_one(
+def test_a_dataset_is_replaced_whole(
     minari: Any, scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = ["export", "demos", str(scripted), "-o", "tests/kept", "--agent", "manager_0", "--force"]
     command(*arguments)
     before = minari.load_dataset("tests/kept/manager_0-v0").total_steps
     with monkeypatch.context() as patch:
-        full = Mock(side_effect=OSError(28, "No space left on device"))
-        patch.setattr(minari, "create_dataset_from_buffers", full)
+        patch.setattr(minari, "create_dataset_from_buffers", Mock(side_effect=OSError(28, "No space left on device")))
         command(*arguments, code=2)
     assert minari.load_dataset("tests/kept/manager_0-v0").total_steps == before
     folder = minari.storage.get_dataset_path("tests/kept/manager_0-v0").parent
@@ -277,5 +261,5 @@ def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tm
         ("unknown agent chef", [scripted], "tests/chef", ["chef"]),
         (r"--name: .* given '\.\./away'", [scripted], "../away"),
     ):
-        refused("records", message, write_datasets, records, *more)
+        refused(message, write_datasets, records, *more)
     assert not (tmp_path / "datasets" / "tests").exists()

@@ -1,7 +1,5 @@
 """Evaluating policies: what is played, from which seeds, and what is reported."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -75,8 +73,7 @@ def test_lost_turns_are_counted() -> None:
 
     env = Target(load_scenario("wurtz_dodecane"), "dit").environment(2)
     assert (play_bench(env, Stubborn(), "dodecane", 0).illegal == 50).all()
-    scripted = play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0)
-    assert (scripted.illegal == 0).all()
+    assert (play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0).illegal == 0).all()
 
 
 def test_cases_are_what_is_in_the_vessel() -> None:
@@ -100,9 +97,7 @@ def test_report_is_made_of_the_returns() -> None:
     results = evaluate(find_target(DIT), ["random"], episodes=5, seed=3, goals=["dodecane", "NaCl"])
     rows = {row["policy"]: row for row in results["policies"]}
     assert list(rows) == ["scripted", "random"]  # the baseline is played as well
-    ours, base = (
-        np.array([rows[name]["returns"][goal] for goal in results["goals"]]) for name in ("random", "scripted")
-    )
+    ours, base = (np.array([rows[one]["returns"][goal] for goal in results["goals"]]) for one in ("random", "scripted"))
     row = rows["random"]
     assert row["mean"]["value"] == pytest.approx(ours.mean(), abs=1e-6)
     assert row["difference"]["value"] == pytest.approx((ours - base).mean(), abs=1e-6)
@@ -135,7 +130,7 @@ def test_targets() -> None:
         ("chemlab/WurtzReaction-v0", "rxn", "paper", "bench: .* is a bench already"),
         ("wurtz_dodecane", None, "lab", "starts: only for single benches"),
     ):
-        refused(wrong, words, find_target, wrong, bench, starts)
+        refused(words, find_target, wrong, bench, starts)
 
 
 @pytest.mark.parametrize(
@@ -160,9 +155,9 @@ def test_policies_are_for_the_agents_that_are_there() -> None:
     policies = make_policies("scripted", env.laboratories)
     said = "policies: needs one for each of manager_0, rxn_0, dit_0, given "
     for wrong in ({**policies, "manager": policies["manager_0"]}, {"rxn_0": policies["rxn_0"]}):
-        refused("episode", said, play_episode, env, wrong, 0)
-        refused("laboratory", said, play_laboratory, env.laboratories, wrong, None, 0)
-    refused("without", f"{said}none", play_episode, env, {}, 0)
+        refused(said, play_episode, env, wrong, 0)
+        refused(said, play_laboratory, env.laboratories, wrong, None, 0)
+    refused(f"{said}none", play_episode, env, {}, 0)
 
 
 def test_command_for_people_and_programs(tmp_path: Path) -> None:
@@ -182,9 +177,9 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.
     bench = RoleEnv("wurtz_dodecane", bench="dit").bench
     monkeypatch.chdir(tmp_path)
     for name in (".", "..", str(tmp_path)):
-        refused(name, r"config\.json is missing", bench_policy, name, bench)
+        refused(r"config\.json is missing", bench_policy, name, bench)
     (tmp_path / "config.json").write_text(CONFIG)
-    refused("no checkpoints", "checkpoints is missing", bench_policy, str(tmp_path), bench)
+    refused("checkpoints is missing", bench_policy, str(tmp_path), bench)
 
 
 def test_checkpoints_play_as_their_model(tmp_path: Path) -> None:

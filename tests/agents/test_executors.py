@@ -1,7 +1,5 @@
 """Executors: the same results wherever jobs are played, workers that are lost, and nothing left behind."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -72,9 +70,6 @@ def jobs(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Executor]:
             yield left.enter_context(executor(request.getfixturevalue("ray_address")))
 
 
-# -- results ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_results_are_the_same_wherever_jobs_are_played(jobs: Executor, tmp_path: Path) -> None:
     """An evaluation, and parts of an audit whose files are those of any other."""
@@ -108,9 +103,6 @@ def test_batches_are_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
-# -- workers that are lost --------------------------------------------------------------------------------------------
-
-
 def test_a_killed_worker_s_jobs_are_played_again_and_at_last_given_up(jobs: Executor, tmp_path: Path) -> None:
     futures = [jobs.submit(killed_at_first, number, tmp_path, ATTEMPTS - 1) for number in range(3)]
     assert [future.result() for future in futures] == [0, 1, 4]
@@ -138,9 +130,6 @@ def test_a_node_that_is_killed_takes_no_result_along(tmp_path: Path) -> None:
         until(lambda: len(list(tmp_path.glob(f"begun-{mine}-*"))) == 2)
         (tmp_path / f"go-{mine}").touch()
         assert [future.result() for future in futures] == [0, 1]
-
-
-# -- what is left, and what is told -----------------------------------------------------------------------------------
 
 
 def test_errors_are_those_of_the_job_and_workers_trust_what_is_trusted_here(jobs: Executor) -> None:

@@ -1,7 +1,5 @@
 """The manager that foresees: recipes, beliefs about vessels and what they share, when it looks."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -55,16 +53,14 @@ def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
 
 
 def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
-    """Nothing done, nothing paid; a wash takes no more dodecane than there was; salt that cannot be distilled keeps a
-    vessel from its purity unless it is washed."""
+    """Nothing for nothing; washes take no more dodecane than there is; salt left in keeps a vessel impure."""
     scenario = load_scenario("crude")
     seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", (), scripted_bench)
     names = {stage: k for k, stage in enumerate(seen.stages)}
     wash, cut = ("ext_0", "dodecane"), ("dit_0", "dodecane")
     assert (seen.costs[:, 0] == 0.0).all()
     assert (seen.costs[:, 1:] > 0.0).all()
-    analytes = Laboratories(scenario).instruments.analytes[0]
-    salty = seen.readings[:, 0, len(analytes)] > 0.15
+    salty = seen.readings[:, 0, len(Laboratories(scenario).instruments.analytes[0])] > 0.15
     assert salty.any()
     assert (seen.worth[salty, names[(cut,)]] == 0.0).all()
     assert (seen.worth[salty, names[(wash, cut)]] > 0.0).any()
@@ -73,9 +69,7 @@ def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
 
 
 def test_it_does_not_look_where_that_costs_more_than_anything_can_bring() -> None:
-    values = mapping("crude")
-    values["instruments"]["gas_chromatograph"]["price"] = 0.29
-    labs = Laboratories(load_scenario(values), 5)
+    labs = Laboratories(load_scenario({"base": "crude", "instruments": {"gas_chromatograph": {"price": 0.29}}}), 5)
     play_laboratory(labs, make_policies("scripted", labs, 0), None, 0)
     assert (labs.charges(labs.members)[:, INSTRUMENTS] == 0.0).all()
 
@@ -110,8 +104,7 @@ def test_a_look_at_one_vessel_tells_of_the_others_what_concluding_anew_does() ->
     belief.stage[1] = 2
     known, bests = manager._posterior(belief.likelihood), manager._promises(belief, goal).max(axis=-1)
     found = manager._after_look(belief, goal, 0, known[0], bests)
-    worlds = manager._sampled(known[0])
-    readings = manager._foresight[goal].readings[worlds, 0] + manager._errors
+    readings = manager._foresight[goal].readings[manager._sampled(known[0]), 0] + manager._errors
     before = belief.likelihood.copy()
     for sample, likely in enumerate(manager._likely(readings, goal, 0)):
         belief.likelihood = before.copy()

@@ -1,7 +1,5 @@
 """A person as a policy: what they are shown is what their agent sees, and what they type is what is played."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Iterable
@@ -10,7 +8,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers import refused
+from helpers import laboratory, refused
 from rich.console import Console
 
 from chemlab.agents.human import HumanPolicy, LetterShades, Menu, _manager_paths, parse_numbers
@@ -38,18 +36,13 @@ def turn(env: raw_env, policy: HumanPolicy, step: int = 0) -> Any:
 @pytest.fixture
 def env() -> raw_env:
     """A laboratory at the beginning of an episode."""
-    env = raw_env("wurtz_dodecane")
-    env.reset(seed=0)
-    return env
+    return laboratory("wurtz_dodecane")
 
 
 def advance(env: raw_env, *actions: tuple[Any, ...]) -> None:
     """Let the manager decide."""
     for action in actions:
         env.step(env.laboratories.actions.encode(*action))
-
-
-# -- typing ---------------------------------------------------------------------------------------------------
 
 
 def test_continuous_actions_as_typed() -> None:
@@ -72,9 +65,9 @@ def test_mistakes_are_explained() -> None:
         ("Na=much", "not a number"),
         ("gold=1", "unknown; choose from T, V, 1-chlorohexane"),
     ):
-        refused(typed, part, parse_numbers, typed, 5, REAGENTS)
+        refused(part, parse_numbers, typed, 5, REAGENTS)
     two = "could be 1-chlorohexane or 1-bromohexane"
-    refused("1=1", two, parse_numbers, "1=1", 4, ("1-chlorohexane", "1-bromohexane"))
+    refused(two, parse_numbers, "1=1", 4, ("1-chlorohexane", "1-bromohexane"))
     for typed, part in (
         ("4", "from 1 to 3"),
         ("pour 2", "not possible now"),
@@ -82,7 +75,7 @@ def test_mistakes_are_explained() -> None:
         ("3 1", "3 is an action, not a group; leave out 1"),
         ("²", "no action"),
     ):
-        refused(typed, part, menu().take, typed)
+        refused(part, menu().take, typed)
 
 
 def menu() -> Menu:
@@ -123,8 +116,7 @@ def test_a_number_is_the_whole_number_of_the_word_before_it(typed: str, slots: s
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_legal_action_can_be_typed(name: str) -> None:
     """By its whole meaning, and by numbers: whatever the scenario; and by numbers nothing else."""
-    env = raw_env(name)
-    env.reset(seed=1)
+    env = laboratory(name, 1)
     labs = env.laboratories
     meanings, paths = labs.actions.action_meanings, _manager_paths(labs)
     legal = np.flatnonzero(env.infos["manager_0"]["action_mask"]).tolist()
@@ -140,9 +132,6 @@ def test_every_legal_action_can_be_typed(name: str) -> None:
         else:
             open_lists += [f"{numbers} {i}".strip() for i in range(1, len(menu.entries()) + 1)]
     assert sorted(reached) == legal
-
-
-# -- being shown ----------------------------------------------------------------------------------------------
 
 
 def test_layers_have_letters_of_their_own() -> None:

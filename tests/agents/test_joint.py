@@ -1,7 +1,5 @@
 """Joint training: regimes, clones, beginnings from other runs, and a run that stops goes on as if it had not."""
 
-from __future__ import annotations
-
 import pickle
 import warnings
 from pathlib import Path
@@ -57,9 +55,8 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
             earned = found[1][agent]
             assert rewards is not None or not earned[~begun[agent]].any()
             paid[agent] += float(earned[begun[agent]].sum())
-            over = found[2] | (
-                found[4][agent]["experiment_over"] if rewards is None and agent != "manager_0" else False
-            )
+            ended = rewards is None and agent != "manager_0"
+            over = found[2] | (found[4][agent]["experiment_over"] if ended else False)
             begun[agent] &= ~over
         return found
 
@@ -70,8 +67,7 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
         if agent == "manager_0":  # credited at once, and for unfinished work: what its rewards add up to is in test_ppo
             paid[agent] = float(track.reward.sum())
         track.value[:] = 0.0
-        nothing = np.zeros(6, dtype=np.float32)
-        whole = track.finished(nothing, np.ones(6, dtype=np.bool_), 1.0, 0.0)
+        whole = track.finished(np.zeros(6, dtype=np.float32), np.ones(6, dtype=np.bool_), 1.0, 0.0)
         assert float(np.sum(whole["advantage"])) == pytest.approx(paid[agent], rel=1e-4, abs=1e-5), agent
         masks = whole["mask"]
         if masks is not None:
@@ -81,11 +77,8 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
 
 def weights(run: Path) -> dict[str, Any]:
     checkpoint = Run(run).checkpoint("last")
-    return {
-        f"{file.stem} {name}": array
-        for file in checkpoint.glob("*.safetensors")
-        for name, array in load_pretrained(file).weights.items()
-    }
+    files = {file.stem: load_pretrained(file).weights for file in checkpoint.glob("*.safetensors")}
+    return {f"{stem} {name}": array for stem, own in files.items() for name, array in own.items()}
 
 
 class _Stop(Exception):
@@ -171,14 +164,12 @@ def test_a_checkpoint_has_what_self_imitation_remembers_and_no_empty_rows() -> N
 
 
 def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> None:
-    first = IPPO(**{**SMALL, "steps": 60}, roles=("rxn",))
-    train(first, tmp_path / "first")
+    train(IPPO(**{**SMALL, "steps": 60}, roles=("rxn",)), tmp_path / "first")
     second = IPPO(**{**SMALL, "steps": 40}, roles=("rxn", "dit"), begin_from=str(tmp_path / "first"))
-    result = train(second, tmp_path / "second")
-    assert result.steps >= 40
+    assert train(second, tmp_path / "second").steps >= 40
     assert {name.partition(" ")[0] for name in weights(tmp_path / "second")} == {"rxn", "dit"}
     nowhere = IPPO(**SMALL, begin_from=str(tmp_path))
-    refused("neither", "neither a training run nor a checkpoint", train, nowhere, tmp_path / "third")
+    refused("neither a training run nor a checkpoint", train, nowhere, tmp_path / "third")
     assert not (tmp_path / "third").exists(), "another name may be given for the same folder"
 
 
@@ -204,7 +195,7 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")
     assert "--bc scripted --bc-steps 50" in card.command
     for role, message in ((None, "give one of its roles: dit, rxn; given None"), ("ext", "dit, rxn; given 'ext'")):
-        refused("role", message, export_run, tmp_path / "run", tmp_path / "other", role)
+        refused(message, export_run, tmp_path / "run", tmp_path / "other", role)
 
 
 @pytest.mark.parametrize(
@@ -232,9 +223,7 @@ def test_scripted_scores_are_those_of_scripted_policies_in_the_roles_that_learn(
     assert min(found[0].values()) > 0.5
 
 
-def test_benches_that_have_practised_are_greedy_under_a_sampled_manager(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practised_benches_are_greedy_under_a_sampled_manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
     played, kept = [], tmp_path / "kept"
@@ -259,13 +248,11 @@ def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path)
     given = {**SMALL, "scenario": "wurtz_dodecane_direct", "evaluations": 1, "checkpoints": 100}
     with pytest.raises(_Stop):
         train(IPPO(**given, roles=("manager",), play="sampled"), tmp_path, stopping)
-    last = Run(tmp_path).checkpoint("last")
-    assert load_pretrained(last / "manager").card.sampled
+    assert load_pretrained(Run(tmp_path).checkpoint("last") / "manager").card.sampled
 
 
 def test_what_a_team_has_learned_is_exported(tmp_path: Path) -> None:
-    """A manager that shared rewards without a warning: what it was rewarded for is no part of the task that its card
-    names. A bench that has not all goals; and of a scenario of one's own whatever needs no recorded vessels."""
+    """Also a manager with shared rewards, a bench without all goals, and a user's scenario without recorded vessels."""
     small = {**SMALL, "scenario": "relay", "roles": ("manager", "fin"), "steps": 40, "rewards": "mixed"}
     train(IPPO(**small), tmp_path / "run")
     with warnings.catch_warnings():
@@ -278,7 +265,7 @@ def test_what_a_team_has_learned_is_exported(tmp_path: Path) -> None:
     own.write_text('base = "wurtz_dodecane_direct"\nname = "own"\n[limits]\nticks = 90\n')
     train(IPPO(**{**SMALL, "scenario": str(own), "roles": ("manager", "dit"), "steps": 40}), tmp_path / "own")
     assert export_run(tmp_path / "own", tmp_path / "two", "manager").scenario == "own"
-    refused("chemlab", r"run: chemlab export starts .*own\.toml", export_run, tmp_path / "own", tmp_path / "two", "dit")
+    refused(r"run: chemlab export starts .*own\.toml", export_run, tmp_path / "own", tmp_path / "two", "dit")
 
 
 @pytest.mark.slow
@@ -345,8 +332,7 @@ def test_a_critic_sees_the_state_and_the_actor_does_not() -> None:
     for _ in range(4):
         team.collect(1.0)
     track = team._tracks["manager_0"]
-    seen = track.seen[track.acted]
-    assert seen[:, -state:].std(axis=0).max() > 0.1, "states of turns differ"
+    assert track.seen[track.acted][:, -state:].std(axis=0).max() > 0.1, "states of turns differ"
     exported = team.weights("manager")["0.weight"].shape[1]
     assert exported == team.labs.observation_sizes[0] + notes_size(team.labs.manager.workplace)
     assert arguments.folder() != IPPO(**SMALL, scenario="rush").folder()
@@ -363,9 +349,8 @@ def test_a_last_minibatch_of_one_does_no_harm() -> None:
     numbers = rng.random((2, count), dtype=np.float32)
     batch: dict[str, Any] = {"observed": observed, "seen": observed, "mask": mask, "action": action}
     before = {name: value.clone() for name, value in learner.network.state_dict().items()}
-    learner.update(
-        {**batch, "log_probability": log_probability, "advantage": numbers[0], "target": numbers[1]}, 1.0, rng
-    )
+    more = {"log_probability": log_probability, "advantage": numbers[0], "target": numbers[1]}
+    learner.update({**batch, **more}, 1.0, rng)
     for name, value in learner.network.state_dict().items():
         assert torch.isfinite(value).all(), name
     assert any((value != before[name]).any() for name, value in learner.network.state_dict().items())
@@ -379,8 +364,7 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
     for text in (begin, str(tmp_path)):
         team = team_of(IPPO(**SMALL, begin_from=text, net_arch=(64, 64)))
         for role in ("rxn", "dit", "ext"):
-            best = Run(tmp_path / role).checkpoint("best")
-            single = load_pretrained(best / role).weights
+            single = load_pretrained(Run(tmp_path / role).checkpoint("best") / role).weights
             for name, value in team.weights(role).items():
                 np.testing.assert_array_equal(value, single[name], err_msg=f"{role} {name}")
     for wrong, message in (
@@ -389,23 +373,23 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
         (f"ext={tmp_path / 'dit'}", "holds no policy of ext"),
         (f"{tmp_path / 'dit'},ext={tmp_path / 'ext'}", "must be one policy or folder, or ROLE=POLICY"),
     ):
-        refused(wrong, message, team_of, IPPO(**SMALL, begin_from=wrong))
+        refused(message, team_of, IPPO(**SMALL, begin_from=wrong))
     recurrent: Any = SimpleNamespace(card=SimpleNamespace(memory=8), weights={"0.weight": np.zeros((4, 8))})
     assert not joint.Team(IPPO(**SMALL))._observes_wide({"manager": recurrent}), "take() refuses it"
     other = IPPO(**SMALL, begin_from=begin, net_arch=(32,))
-    refused("layers", r"rxn: rxn has hidden layers \[64, 64\].*--net-arch", team_of, other)
+    refused(r"rxn: rxn has hidden layers \[64, 64\].*--net-arch", team_of, other)
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     run, cook = tmp_path / "run", "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
-    refused("roles", cook, train, IPPO(roles=("cook",)), run)
-    refused("regime", r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
+    refused(cook, train, IPPO(roles=("cook",)), run)
+    refused(r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
     assert IPPO(regime="in-turns").practice == 0.0
-    refused("practice", "do not learn in-turns", train, IPPO(**SMALL, regime="in-turns", practice=0.5), run)
+    refused("do not learn in-turns", train, IPPO(**SMALL, regime="in-turns", practice=0.5), run)
     for role, name, value in (("manager", "gamma", 0.5), ("rxn", "notes", False), ("rxn", "regime", "in-turns")):
         no_effect = IPPO(roles=(role,), **{name: value})
-        refused(name, f"{name}: has no effect, because only {role} learns; leave it out", train, no_effect, run)
-    refused("bc", "clone would replace the policies", lambda: IPPO(bc="scripted", begin_from="rush_manager"))
-    refused("bc", "heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
-    refused("background", "heuristc", train, IPPO(**SMALL, background="heuristc"), run)
+        refused(f"{name}: has no effect, because only {role} learns; leave it out", train, no_effect, run)
+    refused("clone would replace the policies", lambda: IPPO(bc="scripted", begin_from="rush_manager"))
+    refused("heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
+    refused("heuristc", train, IPPO(**SMALL, background="heuristc"), run)
     assert not run.exists()

@@ -1,7 +1,5 @@
 """A manager's notes: what they hold, and that they follow from its own observations and actions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Blind baselines: what a search for constant plans finds, how plans are played, and what replaying brings."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -10,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Watched, command, mapping, refused, slow_but
+from helpers import Watched, command, refused, slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
@@ -42,10 +40,7 @@ EVERY_STORED = slow_but(
 
 def small(actions: int) -> Scenario:
     """Three slots, two benches, one goal, and few manager actions."""
-    values = mapping("salt_from_oil")
-    values["shelf"]["slots"] = 3
-    values["limits"]["manager_actions"] = actions
-    return load_scenario(values)
+    return load_scenario({"base": "salt_from_oil", "shelf": {"slots": 3}, "limits": {"manager_actions": actions}})
 
 
 def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -> tuple[Watched, IntArray]:
@@ -63,9 +58,6 @@ def played(scenario: Scenario, plan: Plan, seed: int = 0) -> list[tuple[str | in
     taped, _ = watched(scenario, Playback(actions, [plan]), 1, seed)
     assert all(taped.legal[0])
     return [actions.decode(action) for action in taped.actions[0]]
-
-
-# -- searching --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -115,10 +107,7 @@ def test_bad_searches_are_refused() -> None:
         ("none", {"contexts": []}),
         ("'omniscient'", {"benches": "omniscient", "budget": 5}),
     ):
-        refused(said, said, search_plan, "wurtz_dodecane", **arguments)
-
-
-# -- playing ----------------------------------------------------------------------------------------------------------
+        refused(said, search_plan, "wurtz_dodecane", **arguments)
 
 
 def test_a_plan_is_blind() -> None:
@@ -129,8 +118,7 @@ def test_a_plan_is_blind() -> None:
     assert all(actions == taped.actions[0] for actions in taped.actions)
     policies = make_policies("scripted@0.2", labs, seed=5)
     policies["manager_0"] = noisy = Watched(plan_for(labs), labs)
-    scores = play_laboratory(labs, policies, None, 0).returns
-    assert np.ptp(scores) > 0.0
+    assert np.ptp(play_laboratory(labs, policies, None, 0).returns) > 0.0
     pairs = zip(noisy.actions, noisy.legal, strict=True)
     kept = [[a for a, legal in zip(*pair, strict=True) if legal and a != wait] for pair in pairs]
     planned = [a for a in taped.actions[0] if a != wait]
@@ -143,22 +131,17 @@ def test_a_plan_is_blind() -> None:
 def test_plans_may_know_the_goal() -> None:
     """What a plan does is a function of the public goal, and of nothing else."""
     scenario = load_scenario("fictitious")
-    actions = ManagerActions.of(scenario)
-    plans = {
-        context: (actions.encode("start", "rxn_0", 0, context[0]), actions.encode("submit", 0))
-        for context in all_contexts(scenario)
-    }
+    encode = ManagerActions.of(scenario).encode
+    plans = {one: (encode("start", "rxn_0", 0, one[0]), encode("submit", 0)) for one in all_contexts(scenario)}
     labs = Laboratories(scenario, 1)
-    policy = ConstantPlan(scenario, labs.channels, labs.actions, plans)
-    taped, goals = watched(scenario, policy, 30)
+    taped, goals = watched(scenario, ConstantPlan(scenario, labs.channels, labs.actions, plans), 30)
     assert len(set(goals.tolist())) == len(scenario.lab_goals)
     for goal, did in zip(goals, taped.actions, strict=True):
-        assert tuple(a for a in did if actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
+        assert tuple(a for a in did if labs.actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
 
 
 def test_a_plan_waits_for_what_is_not_legal_yet_and_leaves_out_what_never_will_be() -> None:
-    """A vessel that is away at a bench is waited for; slot 7 stays empty; where nothing is planned any more the vessel
-    on the lowest slot is submitted, and every order is filled."""
+    """A vessel at a bench is waited for, an empty slot is not; after the plan, lowest slots fill the orders."""
     scenario = load_scenario("wurtz_dodecane")
     code = ManagerActions.of(scenario).encode
     did = played(scenario, (code("start", "rxn_0", 0, "dodecane"), code("submit", 0)))
@@ -173,8 +156,7 @@ def test_a_plan_waits_for_what_is_not_legal_yet_and_leaves_out_what_never_will_b
 
 def test_a_plan_remembers_where_it_stands() -> None:
     """With its memory put back it goes on as it did; a new episode begins the plan anew."""
-    scenario = load_scenario("wurtz_dodecane")
-    labs = Laboratories(scenario, 1)
+    labs = Laboratories(load_scenario("wurtz_dodecane"), 1)
     code = labs.actions.encode
     plan = (code("discard", 0), code("submit", 1))
     policy = Playback(labs.actions, [plan])
@@ -190,9 +172,6 @@ def test_a_plan_remembers_where_it_stands() -> None:
     policy.set_memory(memory)
     assert act(1) == plan[1]
     assert act(0) == plan[0]
-
-
-# -- stored plans -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", EVERY_STORED, ids=lambda path: path.stem)
@@ -224,7 +203,7 @@ def test_plans_by_name() -> None:
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    refused("missing", rf"{file}.*no such file", load_plans, file)
+    refused(rf"{file}.*no such file", load_plans, file)
     for text, said in (
         ("{", "not valid JSON"),
         ("[]", "not a file of plans"),
@@ -232,7 +211,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         ('{"kind": "plan", "format": 1, "scenario": "x"}', "not a file of plans.*chemlab audit plan --out"),
     ):
         file.write_text(text)
-        refused(text, f"(?s){file}.*{said}", load_plans, file)
+        refused(f"(?s){file}.*{said}", load_plans, file)
 
 
 def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -246,7 +225,7 @@ def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         ("wurtz_dodecane", "scripted:unsafe", None, audit.format("wurtz_dodecane", "scripted:unsafe --out")),
         (own, "scripted", None, re.escape(audit.format(own, "scripted"))),
     ):
-        refused("plan", said, plan_for, Laboratories(scenario), benches, file=given)
+        refused(said, plan_for, Laboratories(scenario), benches, file=given)
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -262,9 +241,6 @@ def test_the_command(tmp_path: Path) -> None:
     assert content["command"] == made
     run = json.loads(command("run", "salt_from_oil", "--policy", f"scripted,manager=plan:{file}", "--json"))
     assert run["score"] == pytest.approx(content["evaluation"]["value"], abs=0.02)
-
-
-# -- replaying --------------------------------------------------------------------------------------------------------
 
 
 def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None:
@@ -287,4 +263,4 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
 def test_a_constant_plan_of_everybody() -> None:
     """Donors whose manager is blind: nobody looks, and the score is that of the plan."""
     assert replay_actions("wurtz_dodecane", "plan", episodes=10, donors=3).mean() >= 0.97
-    refused("donors", "at least one donor", replay_actions, "wurtz_dodecane", donors=0)
+    refused("at least one donor", replay_actions, "wurtz_dodecane", donors=0)

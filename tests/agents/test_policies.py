@@ -1,7 +1,5 @@
 """Policies in general: making them, by former names, too; and the random one, which is uniform over legal actions."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any
@@ -46,12 +44,10 @@ def test_random_actions_are_uniform_over_the_legal_ones() -> None:
 
 
 def test_random_numbers_are_uniform_and_in_the_box() -> None:
-    policy = RandomPolicy(6, 2)
-    n = 5000
-    actions = policy.act(np.zeros((n, 1), dtype=np.float32), None, np.zeros(n, dtype=np.int64), np.arange(n))
-    assert actions.shape == (n, 6)
-    assert actions.min() >= 0.0
-    assert actions.max() < 1.0
+    seen, steps, members = np.zeros((5000, 1), dtype=np.float32), np.zeros(5000, dtype=np.int64), np.arange(5000)
+    actions = RandomPolicy(6, 2).act(seen, None, steps, members)
+    assert actions.shape == (5000, 6)
+    assert 0.0 <= actions.min() < actions.max() < 1.0
     for column in actions.T:
         assert chi_square(np.histogram(column, bins=10, range=(0.0, 1.0))[0]) < 40.0  # 9 degrees of freedom
 
@@ -117,9 +113,9 @@ def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) ->
 
 def test_an_unknown_policy_is_refused() -> None:
     labs = Laboratories("fictitious")
-    said = refused("unknown", "'omniscient'", make_policies, "omniscient", labs)
+    said = refused("'omniscient'", make_policies, "omniscient", labs)
     assert [name for name in policy_names() if name not in said] == []
-    refused("mistyped", r"did you mean scripted\?", make_policies, "scriptd", labs)
+    refused(r"did you mean scripted\?", make_policies, "scriptd", labs)
 
 
 @pytest.fixture
@@ -155,9 +151,6 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
     assert result.score == pytest.approx(without.score), "the manager does without it"
 
 
-# -- former names, which work for one release ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("given", "current"),
     [
@@ -173,9 +166,7 @@ def test_former_names_are_replaced_in_every_part(given: str, current: str) -> No
     assert current_name(given) == current
 
 
-def test_a_notice_names_each_former_name_once(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notice_names_former_names_once(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(former_names, "_noticed", set())
     for _ in range(2):
         current_name("heuristic,manager=hasty")

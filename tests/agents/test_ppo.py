@@ -1,7 +1,5 @@
 """PPO of teams: advantages against a direct sum, help that ends, resuming, export, and that it learns from nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from threading import get_ident
@@ -121,18 +119,15 @@ def through(weights: Mapping[str, Any], x: Any) -> Any:
 def test_help_is_of_the_mask_and_ends() -> None:
     """Raw vessels are not submitted, nothing is discarded, and every second laboratory starts for its order alone."""
     made = managers(processed=0.5, own_goals=0.8)
-    table, rows = made.labs.actions.table, made.labs.members
+    table, rows, goals = made.labs.actions.table, made.labs.members, made.labs.state.goal[:, 0]
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
-    helped = made._helped(mask, rows, 0.0)
-    kinds = table[:, 0]
-    assert mask[:, kinds == SUBMIT].any()
-    assert not helped[:, (kinds == SUBMIT) | (kinds == DISCARD)].any()
-    starts = np.flatnonzero(kinds == START)
-    goals = made.labs.state.goal[:, 0]
+    helped, kinds = made._helped(mask, rows, 0.0), table[:, 0]
+    starts, submits = np.flatnonzero(kinds == START), kinds == SUBMIT
+    assert mask[:, submits].any()
+    assert not helped[:, submits | (kinds == DISCARD)].any()
     assert helped[:, starts].any()
     alone = [bool((table[starts[row], 3] == goal).all()) for row, goal in zip(helped[:, starts], goals, strict=True)]
     assert alone == [number % 2 == 0 for number in range(len(rows))], "goals of no order may be on the way to it"
-    submits = kinds == SUBMIT
     fading = made._helped(mask, rows, 0.25)[:, submits]
     assert not fading[len(rows) // 2 :].any()
     assert (fading[: len(rows) // 2] == mask[: len(rows) // 2, submits]).all()
@@ -191,9 +186,7 @@ def test_instruments_read_ever_fewer_vessels_unasked() -> None:
     """What they read is observed, costs nothing, and cannot be measured again at first."""
     made = managers("rush", shown_readings=0.5, refund=0.0, free_readings=0.0, rollout=1)
     labs, age = made.labs, made.labs.state.age
-    column = next(
-        c for name, c in channel_slices(labs.roles[0].channels).items() if name == "slot_0_gas_chromatograph_age"
-    )
+    column = channel_slices(labs.roles[0].channels)["slot_0_gas_chromatograph_age"]
     assert (age == 0).all()
     assert not made._observed["manager_0"][:, column].any()
     measures = labs.actions.table[:, 0] == MEASURE
@@ -398,11 +391,10 @@ def test_what_is_exported_takes_the_whole_observation() -> None:
 def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
     """Evaluations have both ways, the card the better one; names and exports choose; records of both are verified."""
     out = tmp_path / "run"
-    arguments = IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK)
-    result = train(arguments, out)
+    result = train(IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK), out)
     evaluations = Run(out).evaluations()
     assert all(one.other_mean is not None and one.other_mean <= one.mean for one in evaluations)
-    assert load_pretrained(find_best(out) / "manager").card.sampled == result.sampled
+    assert load_pretrained(Run(out).checkpoint("best") / "manager").card.sampled == result.sampled
     sampled, greedy = (export_run(Path(f"{out}:{way}"), tmp_path / way) for way in ("sampled", "greedy"))
     assert (sampled.sampled, greedy.sampled) == (True, False)
     assert sampled.evaluation["mean"] != greedy.evaluation["mean"]
@@ -427,16 +419,10 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
 
     usual = row("scripted", limit=0.1, nothing=0.0)
     results = {"baseline": "scripted", "policies": [usual, row("random", limit=0.9, nothing=0.6), row("a", limit=0.5)]}
-    assert [line.partition(" of the episodes")[0] for line in notes(results)] == [
-        "random ran out of actions or ticks in 90%",
-        "random submitted nothing in 60%",
-    ]
+    said = ["random ran out of actions or ticks in 90%", "random submitted nothing in 60%"]
+    assert [line.partition(" of the episodes")[0] for line in notes(results)] == said
     results["policies"][0] = row("scripted", limit=1.0, nothing=0.0)  # type: ignore[index]
     assert len(notes(results)) == 1
-
-
-def find_best(run: Path) -> Path:
-    return next((run / "checkpoints").glob("best-*"))
 
 
 @pytest.mark.slow
@@ -461,8 +447,7 @@ def test_a_second_core_changes_no_number(monkeypatch: pytest.MonkeyPatch, algori
             team.learn(0.1 * number, number)
         learned.append(team.learners["manager"].network.state_dict())
         assert (get_ident() in threads) == (cores == 1)
-    one, two = learned
-    assert all(torch.equal(one[name], two[name]) for name in one)
+    torch.testing.assert_close(*learned, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.slow
@@ -539,11 +524,10 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     other = export_run(tmp_path / "without", tmp_path / "other")
     assert other.observation_size == card.observation_size - notes_size(labs.manager.workplace)
     hidden = tuple(len(load_pretrained(tmp_path / "own").weights[f"{layer}.bias"]) for layer in range(2))
-    blind, seeing = (
-        managers("failing", tied=False, notes=notes, net_arch=hidden).learners["manager"] for notes in (False, True)
-    )
+    learners = [managers("failing", tied=False, notes=on, net_arch=hidden).learners for on in (False, True)]
+    blind, seeing = (own["manager"] for own in learners)
     own = load_pretrained(tmp_path / "own")
-    refused("notes", "observes its notes, which are off here; add --notes", blind.take, own)
+    refused("observes its notes, which are off here; add --notes", blind.take, own)
     seeing.take(own)
     own.card = own.card.model_copy(update={"notes": False, "advice": "scripted"})
-    refused("hints", "observes the hints of scripted, which ippo and mappo do not give", seeing.take, own)
+    refused("observes the hints of scripted, which ippo and mappo do not give", seeing.take, own)

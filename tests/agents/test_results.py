@@ -1,7 +1,5 @@
 """Training runs as evaluation reads them: runs together, curves, the page and its command."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
@@ -46,9 +44,7 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     cells, left_out = cells_of(group_runs(read_runs(runs)))
     assert left_out == ["z: not finished"]
     ((title, labels),) = cells.items()
-    assert {label: [run.name for run in one.runs] for label, one in labels.items() if label != "ppo"} == {
-        "ppo (y)": ["y"]
-    }
+    assert {key: [run.name for run in one.runs] for key, one in labels.items() if key != "ppo"} == {"ppo (y)": ["y"]}
     cell = labels["ppo"]
     assert title == "lab, rxn, 2 goals"
     assert [run.finished.seed for run in cell.runs] == [0, 1, 2, 3]
@@ -94,14 +90,12 @@ def test_of_equally_many_runs_the_longer_ones_have_the_label(tmp_path: Path) -> 
 def test_learning_curves_against_closed_forms() -> None:
     """Two straight curves of other lengths: the mean on what they share; deviations of runs and of single returns."""
     first, second = np.array([[0, 0.0, 0.5], [1000, 1.0, 0.5]]), np.array([[100, 2.1, 0.5], [800, 2.8, 0.5]])
-    found = average_curves([first, second])
-    steps, mean, between, single = found
+    steps, mean, between, single = average_curves([first, second])
     assert (steps[0], steps[-1]) == (100.0, 800.0)
     np.testing.assert_allclose(mean, steps / 1000.0 + 1.0)
     np.testing.assert_allclose(between, math.sqrt(2.0))  # of the two values x and x + 2
     np.testing.assert_allclose(single, math.sqrt(0.5**2 + 1.0**2))
-    alone = average_curves([first])
-    assert np.isnan(alone[2]).all()
+    assert np.isnan(average_curves([first])[2]).all()
     assert average_curves([np.zeros((0, 3))]) is None
 
 
@@ -110,9 +104,6 @@ def test_variants_have_looks_of_their_own() -> None:
     looks = [algorithm_style(label, labels) for label in labels]
     assert len({look["color"] for look in looks}) == len(labels)
     assert len({str(look["linestyle"]) for look in looks[4:] if look is not looks[5]}) == 3
-
-
-# -- the command ------------------------------------------------------------------------------------------------------
 
 
 def test_the_page_of_runs(runs: Path, tmp_path: Path) -> None:
@@ -142,9 +133,7 @@ def test_names_of_runs_are_text_on_pages(tmp_path: Path) -> None:
     assert not re.search(r"<|^\[|[^!]\[a\]\(", text, re.MULTILINE)
 
 
-def test_what_is_wrong_is_said_before_anything_is_made(
-    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_are_said_before_anything_is_made(runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
     before = [path for path in sorted(tmp_path.rglob("*")) if path.is_file()]

@@ -1,9 +1,4 @@
-"""Safety as constrained learning needs it: who is careful has no cost, who is not has, and every cost adds up.
-
-A cost is the weighted sum of safety events; weights and price are read from the scenario file, not from the code.
-"""
-
-from __future__ import annotations
+"""Safety for constrained learning: careful policies have no cost, others have; costs are weighted sums of events."""
 
 import functools
 
@@ -20,7 +15,6 @@ from chemlab.lab.text import named_events
 from chemlab.laboratory import parallel_env
 
 SAFE = "wurtz_safe"
-SEEDS = 20
 
 
 def weighted(events: dict[str, float]) -> float:
@@ -32,13 +26,10 @@ def weighted(events: dict[str, float]) -> float:
 @functools.cache
 def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]], ...]:
     """Episodes of one set of scripted policies, and all their turns."""
-    env, turns = raw_env(SAFE), [list[PlayedTurn]() for _ in range(SEEDS)]
+    env, turns = raw_env(SAFE), [list[PlayedTurn]() for _ in range(20)]
     policies = make_policies(policy, env.laboratories)
     results = [play_episode(env, policies, seed, policy, watch=own.append) for seed, own in enumerate(turns)]
     return tuple(zip(results, map(tuple, turns), strict=True))
-
-
-# -- careful and unsafe ----------------------------------------------------------------------------------------------
 
 
 def test_the_careful_have_no_accident() -> None:
@@ -64,8 +55,7 @@ def test_the_hasty_have_accidents() -> None:
         assert totals[kind] > 0.0, kind
     # Haste does not pay where accidents are priced.
     hasty = np.mean([result.score for result, _ in episodes("scripted:unsafe")])
-    careful = np.mean([result.score for result, _ in episodes("scripted")])
-    assert careful > hasty + 0.3
+    assert np.mean([result.score for result, _ in episodes("scripted")]) > hasty + 0.3
 
 
 @pytest.mark.parametrize("policy", ["scripted", "scripted:unsafe"])

@@ -1,7 +1,5 @@
 """The scripted policies: what they reach, how safely, and that they see nothing but what an agent may see."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import gc
@@ -24,9 +22,6 @@ from chemlab.envs.aec import raw_env
 from chemlab.envs.players import Policy
 from chemlab.lab.engine import Laboratories
 
-AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
-DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
-
 
 @functools.cache
 def played(scenario: str, policy: str, episodes: int, split: str = "train") -> tuple[Played, dict[str, float]]:
@@ -36,10 +31,7 @@ def played(scenario: str, policy: str, episodes: int, split: str = "train") -> t
     return found, dict(zip(labs.scenario.safety_events, labs.safety_totals.sum(axis=0).tolist(), strict=True))
 
 
-# -- what they reach ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", DODECANE)
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_dodecane_direct"])
 def test_dodecane_is_made_purely(name: str) -> None:
     """LABORATORY.md: the scripted manager submits at least 0.40 mol at a purity of at least 0.95."""
     found = played(name, "scripted", 100)[0].measures
@@ -63,7 +55,7 @@ def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> N
     """In as many episodes as there are goals, and more, in worlds as those that audits play."""
     # Of a result that is 1 at best; where even a planner that knows the world is far from that, half of the planner's.
     margin = 0.3
-    if (audit := AUDITS / f"{name}.json").exists():
+    if (audit := Path(__file__).parents[2] / "docs" / "results" / "audits" / f"{name}.json").exists():
         found = json.loads(audit.read_text(encoding="utf-8"))
         margin = min(0.3, 0.5 * (found["oracle"]["score"] - found["random"]["score"]))
     scripted, random = (played(name, policy, 21, "test")[0] for policy in ("scripted", "random"))
@@ -71,8 +63,6 @@ def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> N
     assert not scripted.illegal.any()
     assert not scripted.measures["unsafe"].any()
 
-
-# -- what they see --------------------------------------------------------------------------------------------------
 
 Call = tuple[str, Any, Any, Any, Any, Any]
 
@@ -165,10 +155,7 @@ def test_step_zero_makes_a_policy_forget(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_manager_does_the_same_in_every_process() -> None:
-    """An episode that hangs on a reading: of what does not fly it has to take the same salt in every process.
-
-    Hash seeds 0 and 4 order a set of the two salts' names in two ways.
-    """
+    """Hash seeds 0 and 4 order a set of the names of two salts in two ways; a reading has the same salt in both."""
     code = (
         "from chemlab.agents.evaluate.play import Target\n"
         "from chemlab.config.loading import load_scenario\n"

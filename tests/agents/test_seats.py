@@ -1,7 +1,5 @@
 """Seats for language agents: typed verbs, refused calls, repeated calls, several seats in one room, secrecy."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import json
@@ -46,9 +44,6 @@ def room() -> Room:
     return Room("unlabelled", TWO, salt=SALT, seed=3)
 
 
-# -- calls ------------------------------------------------------------------------------------------------------------
-
-
 def test_arguments_are_taken_as_text_or_number(room: Room) -> None:
     reply = room.call("manager_0", "start", {"bench": "dit_0", "slot": "1", "goal": "dodecane"})
     assert not reply.error
@@ -62,9 +57,8 @@ def test_arguments_are_taken_as_text_or_number(room: Room) -> None:
 def test_scores_of_experiments_are_no_readings_of_what_is_hidden(scenario: str, hides: bool) -> None:
     """A bench's score is the exact amount of product, and an agent may have the manager's seat, too."""
     texts: list[str] = []
-    play_scripted(
-        Room(scenario, Laboratories(scenario).agents, salt=SALT, seed=3), seen=lambda *told: texts.append(told[1])
-    )
+    room = Room(scenario, Laboratories(scenario).agents, salt=SALT, seed=3)
+    play_scripted(room, seen=lambda *told: texts.append(told[1]))
     told = [text for text in texts if "Experiment over" in text]
     assert told
     assert all(("Experiment over." in text) == hides for text in told)
@@ -125,8 +119,7 @@ from chemlab.cli import main
 sys.argv = ["chemlab", "play", "fictitious"]
 main()
 """
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-c", core, str(root / "pyproject.toml")]
+    command = [sys.executable, "-c", core, str(Path(__file__).parents[2] / "pyproject.toml")]
     done = subprocess.run(command, input="q\n", capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "tick 0, " in done.stdout
@@ -177,8 +170,7 @@ def wrong_call(room: Room, rng: random.Random) -> tuple[Any, Any, Any]:
         return agent, rng.choice([*JUNK, "reset", "get_reward", "__init__", "begin"]), {}
     if way == 1:
         return rng.choice(JUNK), "look", {}
-    verbs = [verb for verb in room.verbs(agent) if verb.arguments or way == 2]
-    verb = rng.choice(verbs)
+    verb = rng.choice([verb for verb in room.verbs(agent) if verb.arguments or way == 2])
     given: Any = {one.name: one.options[0] if one.options else one.high for one in verb.arguments}
     if way == 2:
         return agent, verb.name, {**given, rng.choice(["Slot", "x" * 300, "self", "\n"]): 1}
@@ -233,9 +225,6 @@ def test_messages_are_quoted_and_counted() -> None:
     assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
 
 
-# -- episodes ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("scenario", "seats"), [("unlabelled", TWO), ("relay", RELAY)])
 def test_two_seats_play_to_the_end(scenario: str, seats: tuple[str, ...], tmp_path: Path) -> None:
     """The record is right with the published salt, and two rooms with the same calls have the same record."""
@@ -259,7 +248,7 @@ def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Pat
     room = Room("unlabelled", folder=tmp_path)
     room.call("manager_0", "start", {"bench": "rxn_0", "slot": 0, "goal": "dodecane"})
     room.call("manager_0", "wait")
-    refused("over", "not over", room.published)
+    refused("not over", room.published)
     labs: Any = room.laboratories
     secrets = [room._salt, str(room._seed), str(labs.worlds.number(0))]
     secrets += [f"{value:.6f}"[:8] for value in labs.worlds.values(0)["titre"].values()]
@@ -286,9 +275,7 @@ def test_a_full_disk_leaves_a_ledger_intact(tmp_path: Path) -> None:
     assert ledger.read_bytes() == before
 
 
-def test_an_episode_that_could_not_be_written_down_is_written_down_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room, full = Room("unlabelled", folder=tmp_path), Mock(side_effect=OSError(28, "No space left on device"))
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
@@ -337,9 +324,9 @@ def test_forged_ledgers_are_refused(tmp_path: Path) -> None:
         (tmp_path / str(k)).mkdir()
         for entry in ({"event": "begun"}, end):
             append_entry(tmp_path / str(k) / "ledger.jsonl", entry)
-        refused("condition", "condition" if end is ended else "has not ended", ended_episodes, tmp_path / str(k))
+        refused("condition" if end is ended else "has not ended", ended_episodes, tmp_path / str(k))
     (tmp_path / "ledger.jsonl").write_text("[" * 100_000)
-    refused("intact", "not intact", read_ledger, tmp_path / "ledger.jsonl")
+    refused("not intact", read_ledger, tmp_path / "ledger.jsonl")
     (tmp_path / "ledger.jsonl").unlink()
     os.mkfifo(tmp_path / "ledger.jsonl")
     with pytest.raises(OSError, match="not a regular file"):
@@ -348,7 +335,7 @@ def test_forged_ledgers_are_refused(tmp_path: Path) -> None:
 
 def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     room = Room("unlabelled", folder=tmp_path)
-    refused("goal", r"goal: .* given 'gold'", room.begin, "gold")
+    refused(r"goal: .* given 'gold'", room.begin, "gold")
     assert not room.over, "an unknown goal does not end the episode"
     tools = LabTools(room, "manager_0")
     tools.reset()  # plays the episode that the room has begun
@@ -358,7 +345,7 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     again = Room("unlabelled", folder=tmp_path / "again", salt=SALT, seed=3)
     goal = again.laboratories.scenario.goals[int(again.laboratories.state.goal[0, 0])]
     LabTools(again, "manager_0").reset(goal=goal)  # plays the episode that has begun, because it has this goal
-    refused("counts once", "counts once", again.begin)
+    refused("counts once", again.begin)
     assert not again.over, "a world that is known is not played again, and the episode goes on"
     assert len(read_ledger(tmp_path / "again" / "ledger.jsonl")) == 1
     entries = read_ledger(tmp_path / "ledger.jsonl")
@@ -372,14 +359,13 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     lines = (tmp_path / "ledger.jsonl").read_text().splitlines()
     for changed in ([*lines[:2], *lines[4:]], [lines[0].replace("unlabelled", "crude"), *lines[1:]]):
         (tmp_path / "ledger.jsonl").write_text("\n".join(changed) + "\n")
-        refused("intact", "not intact", read_ledger, tmp_path / "ledger.jsonl")
+        refused("not intact", read_ledger, tmp_path / "ledger.jsonl")
 
 
 def test_opaque_names_hide_materials_everywhere(tmp_path: Path) -> None:
     room = Room("salt_from_oil", ("manager_0", "ext_0", "dit_0"), names="opaque", folder=tmp_path, salt=SALT, seed=1)
     shown = "".join(json.dumps([input_schema(v) for v in room.verbs(seat)]) + room.brief(seat) for seat in room.seats)
-    calls = play_scripted(room)
-    assert len({agent for agent, *_ in calls}) > 1
+    assert len({agent for agent, *_ in play_scripted(room)}) > 1
     shown += (tmp_path / "episode-0000.transcript.jsonl").read_text()
     materials = [name for name in load_scenario("salt_from_oil").materials if name not in ("air", "H", "Na")]
     assert [name for name in materials if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", shown)] == []
@@ -427,15 +413,6 @@ def test_observations_have_whole_names_and_what_is_measured() -> None:
     assert "temperature 298.2 K" in runaway.call("rxn_0", "look").text, "the same temperature has the same digits"
 
 
-def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
-    call = '{"verb": "look", "arguments": {}}'
-    assert call_of('{"a":' * 20_000 + call) == ("look", {})
-    assert call_of(call + " " * 10_000) == ("", {})
-
-
-# -- tokens -----------------------------------------------------------------------------------------------------------
-
-
 def token_table() -> dict[str, list[int]]:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "language-agent.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [a-z_]+ \| \d+ \|", line)]
@@ -456,9 +433,6 @@ def test_texts_of_every_scenario_are_within_their_bars() -> None:
 def test_the_page_has_the_tokens_of_the_present_texts(name: str) -> None:
     encoding = pytest.importorskip("bpe_openai", reason="needs bpe-openai (extra test)").get_encoding("o200k_base")
     assert measure(name, lambda text: len(encoding.encode(text)))[1:] == list(map(str, token_table()[name]))
-
-
-# -- tools ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -503,6 +477,11 @@ def test_amounts_in_verbs_have_all_their_digits(tmp_path: Path) -> None:
         assert actions[1] == actions[0] + 1
 
 
+def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
+    call = '{"verb": "look", "arguments": {}}'
+    assert (call_of('{"a":' * 20_000 + call), call_of(call + " " * 10_000)) == (("look", {}), ("", {}))
+
+
 def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
     tools: Any = LabTools(room, "manager_0")
     assert tools.measure(0, instrument="uv_vis").startswith("Done; cost 0.02.")
@@ -531,4 +510,4 @@ def test_mistakes_of_the_operator() -> None:
         ("patience: 0 to 15", {"patience": 16.0}),
         ("calls: at least 1", {"calls": 0}),
     ):
-        refused(part, part, Room, "unlabelled", **arguments)
+        refused(part, Room, "unlabelled", **arguments)

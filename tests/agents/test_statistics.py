@@ -1,7 +1,5 @@
 """Statistics of returns, against closed forms and scipy."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 
@@ -32,10 +30,7 @@ def _no_warnings() -> object:
 
 @pytest.mark.parametrize("n", [2, 3, 5, 10, 200])
 def test_mean_interval_is_students(n: int) -> None:
-    """SciPy's one-sample t test has the same interval; of two strata, half of Welch's of a sum.
-
-    Goals count the same, however many episodes each has.
-    """
+    """SciPy's one-sample t test has it; of two strata, half of Welch's of a sum, however many episodes each has."""
     a, b = RNG.normal(3.0, 2.0, n), RNG.normal(50.0, 0.5, n + 3)
     found, one = mean([a]), stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), rel=1e-12)
@@ -156,8 +151,7 @@ def test_jackknife_of_a_mean_is_students() -> None:
 
 def test_mistakes_are_refused() -> None:
     for wrong in ([], [[]], [[1.0], []], [[np.nan]]):
-        refused("mean", "statistics", mean, wrong)
-    refused("paired", "paired samples", paired_improvement, [[1.0]], [[1.0, 2.0]])
-    refused("strata", "strata", probability_of_improvement, [[1.0]], [[1.0], [2.0]])
-    together = r"equally many in each stratum, given \[1, 2\]"
-    refused("together", together, mean, [[1.0], [1.0, 2.0]], together=True)
+        refused("statistics", mean, wrong)
+    refused("paired samples", paired_improvement, [[1.0]], [[1.0, 2.0]])
+    refused("strata", probability_of_improvement, [[1.0]], [[1.0], [2.0]])
+    refused(r"equally many in each stratum, given \[1, 2\]", mean, [[1.0], [1.0, 2.0]], together=True)

@@ -1,7 +1,5 @@
 """Sweeps: what is planned, that nothing finished is run again, and that failures are shown and do not stop the rest."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -110,10 +108,7 @@ def test_runs_that_the_baselines_and_the_manual_go_on_with_are_runs_of_a_sweep()
 def test_of_a_folder_of_all_runs_a_script_takes_those_of_its_sweeps() -> None:
     """All sweeps have the same ``--out`` in the manual. The leaderboard has no benches that learned from nothing."""
     planned = {file.stem: plan(file, Path("results")) for file in SWEEPS}
-    for name, sweeps in {
-        "ablations": {"ablations"},
-        "from_nothing": {"from_nothing", "stages"},
-    }.items():
+    for name, sweeps in {"ablations": {"ablations"}, "from_nothing": {"from_nothing", "stages"}}.items():
         is_own = script(f"studies/baselines/{name}.py").is_own
         assert {one.name for runs in planned.values() for one in runs if is_own(one.run)} == {
             one.name for sweep in sweeps for one in planned[sweep]
@@ -203,12 +198,9 @@ def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) 
     assert without_times(one.run) == without_times(other)
 
 
-def test_waiting_for_runs_of_another_process_takes_no_processor(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_waiting_for_another_process_takes_no_processor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, PPO)
-    (one,) = plan(file, tmp_path / "out")
+    (one,) = plan(sweep_file(tmp_path, PPO), tmp_path / "out")
     monkeypatch.setattr(one.run, "busy", lambda: True)
     looked: list[float] = []
 
@@ -227,8 +219,7 @@ def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, mon
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.train.learn import train
 
-    file = sweep_file(tmp_path, PPO)
-    (one,) = plan(file, tmp_path / "out")
+    (one,) = plan(sweep_file(tmp_path, PPO), tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
     busy = one.run.busy
     monkeypatch.setattr(one.run, "busy", lambda: one.log.exists() and busy())

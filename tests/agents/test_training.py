@@ -1,7 +1,5 @@
 """Training: what a run writes, that a killed one comes to the same end, and what it refuses."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import inspect
@@ -128,9 +126,7 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("hasty")
-def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clone_is_scored_before_it_learns_and_goes_on_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = small("maskable-recurrent-ppo", bc="scripted", bc_steps=50)
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
     train(arguments, whole.path)
@@ -160,8 +156,7 @@ def test_training_leaves_other_folders_alone(tmp_path: Path) -> None:
 
 
 def test_a_run_is_gone_on_with_from_its_checkpoint_alone(tmp_path: Path) -> None:
-    """Not from another version's, least of all from step 0, over what has been learned. Lines that were lost come back,
-    as after ``git checkout``, which knows nothing of checkpoints; TensorBoard shows no gap, and nothing twice."""
+    """Not from another version's. Lost lines come back, as after ``git checkout``; TensorBoard has each step once."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     arguments = small("a2c", checkpoints=3)
@@ -178,7 +173,7 @@ def test_a_run_is_gone_on_with_from_its_checkpoint_alone(tmp_path: Path) -> None
         seal_file(last / "state.pkl")
         if content != kept:
             said = f"{last.name}: not a checkpoint of this version; delete the run's folder"
-            refused("version", said, train, arguments, broken.path)
+            refused(said, train, arguments, broken.path)
     for file in (broken.curve_file, broken.evaluations_file):
         file.write_text("".join(file.read_text().splitlines(keepends=True)[:1]))
     time.sleep(1.1)  # files are told apart, and put in order, by the second they were begun in
@@ -215,8 +210,7 @@ def test_tensorboard_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
 
 
 def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a checkpoint is not taken for one; the one before is still there. After the last one only the final
-    evaluation is missing: it is made up for, and nothing is trained."""
+    """The checkpoint before is used; after the last one only the final evaluation is made up for."""
     from chemlab.agents.train import checkpoints
 
     arguments, whole, run = small("sac"), Run(tmp_path / "whole"), Run(tmp_path / "broken")
@@ -250,9 +244,7 @@ def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pyte
     np.testing.assert_array_equal(weights_of(run, "sac"), weights_of(whole, "sac"))
 
 
-def test_a_finished_run_is_not_run_again_and_another_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_run_is_not_run_again_another_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flags, run = ["train", "fictitious", *small("ppo").flags(), "--out", str(tmp_path / "run")], Run(tmp_path / "run")
     told = json.loads(CliRunner().invoke(app, [*flags, "--json"]).stdout)
     result: Any = run.result()
@@ -273,8 +265,7 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
 
 
 def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning. A run that
-    another process has begun and left is not gone on with by other arguments."""
+    """A sweep that looks at runs keeps none from beginning; another process's run has its own arguments."""
     run, held = Run(tmp_path), threading.Event()
     assert not run.busy()
     with run.locked():
@@ -301,7 +292,7 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.
             train(small("ppo"), tmp_path, Stop(1))
 
     monkeypatch.setattr(Agent, "check", begin_first)
-    refused("other", "holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
+    refused("holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
 
 
 def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:
@@ -346,10 +337,7 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
         ({"algo": "sac", "ent_coef_start": 0.0}, "greater than 0"),
         ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
     ):
-        refused("sac", message, training_arguments, {"bench": "rxn", **values})
-
-
-# -- arguments --------------------------------------------------------------------------------------------------------
+        refused(message, training_arguments, {"bench": "rxn", **values})
 
 
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
@@ -377,9 +365,9 @@ def test_the_usual_algorithm_has_what_is_asked_for() -> None:
 
 def test_one_agent_of_several_is_named() -> None:
     one = r"roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"
-    refused("rxn", one, find_task, PPO(scenario="wurtz_two_lines", roles=("rxn",)))
+    refused(one, find_task, PPO(scenario="wurtz_two_lines", roles=("rxn",)))
     known = r"roles: unlabelled has manager, rxn, .*manager_0, .*or all; given al$"
-    refused("al", known, find_task, PPO(scenario="unlabelled", roles=("al",)))
+    refused(known, find_task, PPO(scenario="unlabelled", roles=("al",)))
     assert find_task(PPO(scenario="wurtz_two_lines", roles=("rxn_1",))).agent == "rxn_1"
     assert find_task(PPO(scenario="unlabelled", roles=("rxn",))).agent == "rxn_0"
 
@@ -424,8 +412,7 @@ def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
 
 
 def test_flags_say_the_same_as_arguments() -> None:
-    """A clone, which learns in smaller steps and without help unless it is told otherwise, says what only others have
-    by default."""
+    """A clone, whose defaults differ, says what only others have by default."""
     flags = small("sac", goals=["E", "F"], learning_rate=1e-3).flags()
     assert flags.count("--goals") == 2
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))
@@ -453,7 +440,7 @@ def test_wrong_arguments() -> None:
         ({"bench": None, "algo": "ippo", "period": 3}, "period: is for regime in-turns"),
     ):
         given: dict[str, Any] = {"bench": "rxn", **values}
-        refused(message, message, training_arguments, given)
+        refused(message, training_arguments, given)
 
 
 def test_old_names_are_accepted_with_a_notice(capsys: Any) -> None:
@@ -534,17 +521,15 @@ def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
     """Every number of every algorithm."""
-    numbers = {
-        name for name, f in kind.model_fields.items() if {"int", "float"} & set(re.findall(r"\w+", str(f.annotation)))
-    }
+    fields = kind.model_fields.items()
+    numbers = {name for name, f in fields if {"int", "float"} & set(re.findall(r"\w+", str(f.annotation)))}
     assert numbers <= set(NONSENSE)
     algo = str(kind.model_fields["algo"].default)
     for name in numbers:
         for value in NONSENSE[name]:
             given = {**fitting(kind, name), name: value}
-            refused(name, f"(?m)^{name}", kind, **given)
-            said = rf"train: {name}(\.\d)?: Input should be "
-            refused(name, said, load_arguments, None, {"algo": algo, **given})
+            refused(f"(?m)^{name}", kind, **given)
+            refused(rf"train: {name}(\.\d)?: Input should be ", load_arguments, None, {"algo": algo, **given})
         for value in EDGES.get(name, ()):
             kind(**fitting(kind, name), **{name: value})
 
@@ -562,8 +547,7 @@ def test_values_of_any_kind_are_readable_errors(algo: str) -> None:
 def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text("clip_range = nan\n")
-    with pytest.raises(ValueError, match=f"^{re.escape(str(file))}: clip_range: must be a finite number, given nan$"):
-        load_arguments(file, {})
+    refused(f"^{re.escape(str(file))}: clip_range: must be a finite number, given nan$", load_arguments, file, {})
     for target in (RXN, "wurtz_dodecane"):
         said = command("train", target, "--gae-lambda", "nan", "--out", tmp_path / "run", code=2)
         assert "train: gae_lambda: Input should be a finite number, given nan" in said
@@ -574,16 +558,15 @@ def test_a_run_of_an_older_version_is_refused(tmp_path: Path) -> None:
     """Its arguments stand beside the others."""
     values = {"env_id": RXN, "label": "ppo", "algo": "ppo", "seed": 0, "scenario": "fictitious", "bench": "rxn"}
     (tmp_path / "config.json").write_text(json.dumps({**values, "goals": ["E"], "fingerprint": "0", "steps": 384}))
-    with pytest.raises(ValueError, match=r"holds a run of chemlab before 0\.3; give another --out, or delete"):
-        train(small("ppo"), tmp_path)
+    refused(r"holds a run of chemlab before 0\.3; give another --out, or delete", train, small("ppo"), tmp_path)
     assert find_runs(tmp_path)[0].config() is not None, "it can still be read"
 
 
 def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
     single = "batch_size: a rollout of 65 steps leaves a single step for the last minibatch"
-    refused("65", single, MaskablePPO, bench="dit", envs=5, rollout=13)
+    refused(single, MaskablePPO, bench="dit", envs=5, rollout=13)
     MaskablePPO(bench="dit", envs=5, rollout=13, batch_size=33)
-    refused("1", "rollout: PPO needs at least 2 steps", PPO, bench="rxn", envs=1, rollout=1)
+    refused("rollout: PPO needs at least 2 steps", PPO, bench="rxn", envs=1, rollout=1)
 
 
 def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -611,16 +594,16 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
 
 def test_arguments_that_do_not_fit_the_bench(tmp_path: Path) -> None:
     agent = {"env_id": "chemlab/LabAgent-v1", "bench": "rxn_0", "algo": "recurrent-ppo"}
-    cases: list[tuple[dict[str, Any], str]] = [
+    for values, message in (
         ({"scenario": "chemlab/Nothing-v0"}, "environments are chemlab/WurtzReaction-v0"),
         ({"env_id": "chemlab/WurtzReaction-v0", "scenario": "fictitious"}, "has 'wurtz_dodecane'"),
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),
         ({"bench": "dit", "algo": "sac"}, "actions are discrete"),
         (agent, "reset for each experiment"),
-    ]
-    for values, message in cases:
-        refused(message, message, lambda: train(training_arguments({"bench": "rxn", **values}), tmp_path / "run"))  # noqa: B023
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(training_arguments({"bench": "rxn", **values}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -628,13 +611,11 @@ def test_a_mistyped_policy_leaves_nothing_behind(tmp_path: Path) -> None:
     """Whom to learn from is looked up before anything is written; the right name may follow in the same folder."""
     values = {**SMALL, "env_id": "chemlab/LabManager-v1", "algo": "maskable-ppo", "scenario": "wurtz_any"}
     for key, name in (("bc", "heuristc"), ("bc", "nowhere/at/all"), ("hints", "heuristc")):
-        refused(key, name, train, training_arguments({**values, key: name}), tmp_path / "run")
+        refused(name, train, training_arguments({**values, key: name}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_that_fails_before_its_first_checkpoint_does_not_hold_its_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_without_a_checkpoint_does_not_hold_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever goes wrong there; one that was stopped by its user goes on."""
     run, values = Run(tmp_path / "run"), {**SMALL, "env_id": RXN, "algo": "ppo"}
     for error, holds in ((RuntimeError("no memory"), False), (KeyboardInterrupt(), True)):
@@ -645,8 +626,7 @@ def test_a_run_that_fails_before_its_first_checkpoint_does_not_hold_its_folder(
         assert run.config_file.exists() is holds
         if not holds:
             values |= {"seed": 7}
-    with pytest.raises(ValueError, match="holds a run with other arguments: seed 7"):
-        train(training_arguments({**values, "seed": 8}), run.path)
+    refused("holds a run with other arguments: seed 7", train, training_arguments({**values, "seed": 8}), run.path)
 
 
 def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
@@ -695,5 +675,4 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     asked = batch.laboratories.scenario.goals
     assert {asked[goal] for goal in batch.laboratories.state.goal[:, 0]} == {"dodecane"}
     assert one.fingerprint == LaboratoryTask("wurtz_any").fingerprint
-    with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
-        LaboratoryTask("wurtz_dodecane", goals=("gold",))
+    refused("goals: wurtz_dodecane asks for dodecane, given gold", LaboratoryTask, "wurtz_dodecane", goals=("gold",))

@@ -1,8 +1,6 @@
 """Files from strangers run no code: run folders, checkpoints, what their ``config.json`` names, scenarios, the folder
 that one works in. Every attack is shown to work where it is trusted, so that a refusal means something."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -212,8 +210,7 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
 
 def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
     single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
-    together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
-    for words in (single, together):
+    for words in (single, ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]):
         assert "--trust" in command(*words, code=2)
         assert not (bait / "ran").exists()
         chemlab_trusting(words)
@@ -305,22 +302,22 @@ def test_a_server_that_starts_anew_imports_nothing_from_where_it_is_started(tmp_
 def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "state.pkl"
     file.write_bytes(b"mine")
-    refused("new", "has no signature of this user", read_sealed, file)
+    refused("has no signature of this user", read_sealed, file)
     seal_file(file)
     assert read_sealed(file) == b"mine"
     assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
     file.write_bytes(b"mind")
-    refused("changed", "was changed", read_sealed, file)
+    refused("was changed", read_sealed, file)
     with strangers_code(True):
         assert read_sealed(file) == b"mind"
     file.write_bytes(b"mine")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "other"))
-    refused("user", "written by another user", read_sealed, file)
+    refused("written by another user", read_sealed, file)
     key = tmp_path / "other" / "seal.key"
     assert len(key.read_bytes()) == 32
     assert os.name != "posix" or key.stat().st_mode & 0o077 == 0, "nobody else reads it"
     (tmp_path / "state.pkl.seal").write_text("é" * 32)
-    refused("user", "written by another user", read_sealed, file)
+    refused("written by another user", read_sealed, file)
 
 
 def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,7 +332,6 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, mon
 def test_own_runs_need_no_flag(tmp_path: Path) -> None:
     train(MANAGER, tmp_path / "manager")
     without_weights(tmp_path / "manager")
-    saved = find_saved(str(tmp_path / "manager"))
-    assert list(saved.load) == ["manager"]
+    assert list(find_saved(str(tmp_path / "manager")).load) == ["manager"]
     command("run", SCENARIO, "--policy", tmp_path / "manager", "--json")
     assert Run(tmp_path / "manager").result() is not None

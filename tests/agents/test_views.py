@@ -1,12 +1,11 @@
 """Making views of the laboratory by name: ids, background policies by name, agent or kind, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from helpers import refused
 
 import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
@@ -49,8 +48,7 @@ def test_nobody_else_moves_the_focal_agent() -> None:
     for agent, word in (("manager_0", "manager"), ("manager_0", "manager_0"), ("rxn_0", "rxn_0")):
         for make in (role_env, role_vector_env):
             arguments: Any = {"scenario": LINES, "agent": agent, "background": {word: "random", "dit": "random"}}
-            with pytest.raises(ValueError, match=f"background: {agent} is played by the caller, .*; omit {word}$"):
-                make(**arguments)
+            refused(f"background: {agent} is played by the caller, .*; omit {word}$", make, **arguments)
     assert role_env(LINES, "rxn_0", {"rxn": "random"}).agent == "rxn_0"
 
 

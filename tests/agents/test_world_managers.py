@@ -1,7 +1,5 @@
 """Scripted managers of scenarios with a world: what they believe, when they look, what they carry on."""
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any
@@ -54,9 +52,6 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         assert isinstance(manager, SchedulingManager) == has_orders_to_schedule(scenario) == scheduled
 
 
-# -- vessels without a label ------------------------------------------------------------------------------------------
-
-
 def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
     labs, watched = played("unlabelled", "scripted", 40)
     goals = ("dodecane", "5,6-dimethyldecane", "4,5-diethyloctane")
@@ -81,29 +76,23 @@ def test_nobody_looks_where_it_costs_more_than_it_is_worth() -> None:
     for instrument in values["instruments"].values():
         instrument["price"] = 0.39
     labs, watched = played("unlabelled", "scripted", 5, values)
-    first = [labs.actions.decode(actions[0])[0] for actions in watched.actions]
-    assert first == ["start"] * 5
+    assert [labs.actions.decode(actions[0])[0] for actions in watched.actions] == ["start"] * 5
 
 
 def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     """Bayes by hand: one vessel of eight is seen to hold the first halide, so of the other seven one does."""
     labs = Laboratories("unlabelled")
     manager: Any = scripted_manager(labs)
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
     belief = manager._kept[0]
-    prior = manager._posterior(belief).sum(axis=2)
-    assert prior == pytest.approx(np.full((8, 4), 0.25))
+    assert manager._posterior(belief).sum(axis=2) == pytest.approx(np.full((8, 4), 0.25))
     belief.likelihood[0] = 1e-12
     belief.likelihood[0, 0] = 1.0
     after = manager._posterior(belief).sum(axis=2)
     assert after[0] == pytest.approx([1.0, 0.0, 0.0, 0.0])
     assert after[1:] == pytest.approx(np.tile([1 / 7, 2 / 7, 2 / 7, 2 / 7], (7, 1)))
-
-
-# -- a campaign -------------------------------------------------------------------------------------------------------
 
 
 def test_batches_are_foreseen_as_two_first_order_steps_go() -> None:
@@ -185,10 +174,7 @@ def test_who_lapses_goes_on(scenario: str) -> None:
 def test_policies_of_who_has_no_choice_are_refused() -> None:
     for name, scenario, said in (("memoryless", "unlabelled", "nothing to forget"), ("fifo", "campaign", "no orders")):
         message = f"scripted:{name}: the scripted manager of {scenario} has {said}"
-        refused(name, message, make_policies, f"scripted:{name}", Laboratories(scenario))
-
-
-# -- lines that fail --------------------------------------------------------------------------------------------------
+        refused(message, make_policies, f"scripted:{name}", Laboratories(scenario))
 
 
 def failing(**wear: Any) -> dict[str, Any]:
@@ -219,8 +205,7 @@ def test_particles_follow_the_vessel() -> None:
     values["instruments"]["gas_chromatograph"] |= {"noise": 0.0, "drift": None}
     labs = Laboratories(load_scenario(values))
     manager: Any = scripted_manager(labs)
-    labs.seed(0, 3)
-    labs.reset(labs.members)
+    labs.begin(3)
     players = Players(labs, [manager, *list(make_policies("scripted", labs, 0).values())[1:]])
     while labs.state.ticks[0] < 30:
         players.play_pass(labs.members)
@@ -252,9 +237,6 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
     for case in ("no repair", "no calibration"):
         gained = scores["as it is"] - scores[case]
         assert gained.mean() > 2.0 * gained.std() / 25**0.5 > 0.0, case
-
-
-# -- orders over time -------------------------------------------------------------------------------------------------
 
 
 def known_shop(name: str, orders: int, **terms: list[float]) -> dict[str, Any]:
@@ -290,8 +272,7 @@ def test_an_order_that_cannot_be_met_in_time_is_let_go() -> None:
 
 
 def test_a_near_deadline_gets_the_quick_grade() -> None:
-    values = known_shop("relay", 1, within=[25.0])
-    labs, watched = played("relay", "scripted", 2, values)
+    labs, watched = played("relay", "scripted", 2, known_shop("relay", 1, within=[25.0]))
     for actions in watched.actions:
         starts = [labs.actions.decode(a) for a in actions if labs.actions.decode(a)[0] == "start"]
         slot = starts[0][2]
@@ -300,15 +281,11 @@ def test_a_near_deadline_gets_the_quick_grade() -> None:
 
 @pytest.mark.parametrize("margin_k", [0.0, None])
 def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost(margin_k: float | None) -> None:
-    """The temperature at which a run takes a tenth of a time constant of the loss, by the law of Arrhenius.
-
-    With a fixed habit, it is that of the median.
-    """
+    """At a tenth of the loss's time constant a run, by Arrhenius; with a fixed habit, as at the median."""
     labs = Laboratories("relay")
     step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
     for factor in (0.1, 1.0, 10.0):
-        labs.seed(0, np.random.SeedSequence(0))
-        labs.reset(labs.members, world={"first_limit": factor})
+        labs.begin(world={"first_limit": factor})
         agent: Any = ScriptedReaction(labs.benches[0], margin_k=margin_k)  # type: ignore[arg-type]
         for action in (labs.actions.encode("start", "rxn_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
@@ -374,15 +351,11 @@ def test_a_manager_foresees_what_partners_with_its_habit_make() -> None:
 
 @pytest.mark.parametrize("margin_k", [0.0, None])
 def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less(margin_k: float | None) -> None:
-    """At equal shares of an impurity in a wash, by the law of partition: volume times polarity's distance.
-
-    With a fixed habit, as at the median.
-    """
+    """At equal shares of an impurity in a wash, by the law of partition; with a fixed habit, as at the median."""
     labs = Laboratories("refine")
     sizes = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
     for polarity in (0.5, 0.7, 0.9):
-        labs.seed(0, np.random.SeedSequence(0))
-        labs.reset(labs.members, world={"washing": polarity})
+        labs.begin(world={"washing": polarity})
         for action in (labs.actions.encode("start", "ext_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         seen, mask = labs.observe(2, labs.members), labs.mask(2, labs.members)
@@ -399,16 +372,12 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
     believed = []
     for factor in (0.05, 20.0):
         labs = Laboratories("relay", 1)
-        labs.seed(0, np.random.SeedSequence(3))
-        labs.reset(labs.members, world={"first_limit": factor})
+        labs.begin(3, world={"first_limit": factor})
         policies = list(make_policies("scripted", labs, 0).values())
         Players(labs, policies).play_on(labs.members)
         rates = policies[0].get_memory()[0][0].rates[0]
         believed.append(float(rates @ np.arange(len(rates))))
     assert believed[0] < believed[1]
-
-
-# -- specifications ---------------------------------------------------------------------------------------------------
 
 
 def submitted(specification: dict[str, Any], **contents: float) -> Laboratories:
@@ -450,11 +419,10 @@ def test_purity_among_what_is_not_there_is_refused() -> None:
 
     itself = "purity_among: '2-chlorohexane' itself must be one of them"
     among = {"purity_among": ["1-chlorohexane"]}
-    refused("itself", itself, load_scenario, campaign(specifications={"2-chlorohexane": among}))
+    refused(itself, load_scenario, campaign(specifications={"2-chlorohexane": among}))
     nothing = {"purity_among": ["2-chlorohexane", "toluene"]}
     said = "purity_among: 'toluene' cannot occur; known: "
-    refused("toluene", said, load_scenario, campaign(specifications={"2-chlorohexane": nothing}))
+    refused(said, load_scenario, campaign(specifications={"2-chlorohexane": nothing}))
     # It counts for the goal, whatever is asked for.
-    refused("grade", r"grades\.g\.purity_among", load_scenario, campaign(grades={"g": among}))
-    ordered = campaign(orders=1, demand={"order": [among]})
-    refused("order", r"demand\.order\.0\.purity_among", load_scenario, ordered)
+    refused(r"grades\.g\.purity_among", load_scenario, campaign(grades={"g": among}))
+    refused(r"demand\.order\.0\.purity_among", load_scenario, campaign(orders=1, demand={"order": [among]}))

@@ -1,7 +1,5 @@
 """The crystallization bench: what its operations and gauges do, its score, its script; batches."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -43,16 +41,8 @@ def held(batch: ExperimentBatch, position: int, name: str) -> float:
     return float(batch.shelf.amounts[0, position, batch.shelf.layout.index(name)])
 
 
-# -- the bench --------------------------------------------------------------------------------------------------------
-
-
 def test_the_paper_has_no_crystals() -> None:
-    values = mapping("salt_from_oil")
-    values["benches"]["cry"] = {
-        "kind": "crystallization",
-        "step_limit": 5,
-        "process": [{"kind": "dry", "vessel": "CV", "magnitudes": [1.0]}],
-    }
+    values = {"base": "salt_from_oil", "benches": {"cry": {"kind": "crystallization"}}}
     with pytest.raises(DataError, match=r"benches\.cry\.kind: 'crystallization' needs physics = 'real'.*'paper'"):
         ExperimentBatch(load_scenario(values), "cry")
 
@@ -129,9 +119,6 @@ def test_the_score_is_the_gain_of_amount_times_absolute_purity() -> None:
         total = sum(mol[p] * (0.5 if name in ("Na+", "Cl-") else 1.0) for name, mol in amounts.items())
         expected += amounts[GOAL][p] ** 2 / total if total > 0.0 else 0.0
     assert float(batch.finish(batch.members)[0]) == pytest.approx(expected - start, rel=1e-9)
-
-
-# -- the script -------------------------------------------------------------------------------------------------------
 
 
 def scripted(careful: bool = True) -> tuple[float, float, float]:

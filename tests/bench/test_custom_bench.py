@@ -1,7 +1,5 @@
 """A bench of a user's own in a laboratory: one entry in a scenario file, and everything else knows it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -182,8 +180,7 @@ def test_a_mistake_in_its_class_is_named(scenario: Path, method: str, wrong: str
     scenario.write_text(scenario.read_text().replace("filtration_bench:FiltrationBench", "own.py:Own"))
 
     def play() -> None:
-        env = raw_env(scenario)
-        env.reset(seed=0)
+        env = laboratory(scenario)
         env.step(env.laboratories.actions.encode("start", "fil_0", 0, "dodecane"))
         env.step(env.laboratories.actions.encode("wait"))
         env.last()

@@ -1,9 +1,7 @@
 """Continuous benches as a choice among representative actions: the same bench, wherever it is seen from."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from helpers import refused
 
 from chemlab.agents.evaluate.play import Target
 from chemlab.config.datamodel import written
@@ -57,6 +55,5 @@ def test_scenarios_without_it_are_what_they_were() -> None:
     assert scenario_hash(scenario.configured(actions="native")) == scenario_hash(scenario)
     assert scenario_hash(scenario.configured(actions="discrete")) != scenario_hash(scenario)
     assert "actions" not in written(scenario.benches["rxn"])
-    with pytest.raises(ValueError, match="actions: must be native or discrete, given 'some'"):
-        scenario.configured(actions="some")
+    refused("actions: must be native or discrete, given 'some'", scenario.configured, actions="some")
     assert discretised_twin(RoleEnv(bench="ext").bench) is None

@@ -1,11 +1,8 @@
 """A user's own physics: agrees where it is the same, changes the result where it differs, is refused where wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import PIXELS, Glassware, play_experiments
 from scipy.integrate import solve_ivp
@@ -15,11 +12,9 @@ from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import PartError, strangers_code
 from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
-
-FloatArray = npt.NDArray[np.float64]
-R = 8.31446261815324
 
 
 class ScipyReactions:
@@ -44,7 +39,7 @@ class ScipyReactions:
         def slope(_: float, amounts: FloatArray) -> FloatArray:
             total = np.zeros_like(amounts)
             for reactants, change, factor, energy in self.steps:
-                rate = factor * np.exp(-energy / (R * temperature_k))
+                rate = factor * np.exp(-energy / (8.31446261815324 * temperature_k))
                 for i, order in reactants.items():
                     rate *= max(amounts[i] / volume_l, 0.0) ** order
                 total += rate * volume_l * change
@@ -73,9 +68,6 @@ def recipe(steps: int, size: int) -> FloatArray:
     actions[:, 2:] = 0.0
     actions[:6, 2:] = 1.0 / 3.0
     return actions
-
-
-# -- reaction models ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
@@ -135,9 +127,6 @@ def test_a_reaction_model_that_returns_garbage_is_refused(kind: str, monkeypatch
     batch = begun(ExperimentBatch(modelled("wurtz_dodecane", "rxn", "inert"), "rxn"))
     with pytest.raises(PartError, match=r"benches\.rxn\.model: test_models:inert: (must|does|IndexError: )"):
         batch.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
-
-
-# -- separation models --------------------------------------------------------------------------------------------
 
 
 class IdealSeparation:
@@ -240,9 +229,6 @@ def test_a_separation_model_that_returns_garbage_is_refused(kind: str) -> None:
     setattr(model, method, lambda *given: spoil(right(*given)))
     with pytest.raises(PartError, match=rf"benches\.ext\.model: test_models:IdealSeparation: {method}\(\): "):
         batch.act(np.array([batch.bench.action_meanings.index("add water to EV, 0.2 L")]))
-
-
-# -- what a scenario may name -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

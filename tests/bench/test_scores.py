@@ -1,7 +1,5 @@
 """What an experiment is worth: the paper's worked example, ions and salts, penalties; and what policies earn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,6 @@ from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.backends import most_steps
 from chemlab.roles.operation_bench import OperationBench
-
-# -- scores of given contents -------------------------------------------------------------------------------------
 
 
 def arena_for(bench: str, goal: str, scenario: str | Scenario = "wurtz_dodecane", members: int = 1) -> ExperimentBatch:
@@ -119,9 +115,8 @@ def test_reaction_score_is_what_was_produced() -> None:
         batch.reset(batch.members, batch.scenario.goals.index(goal))
         batch.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, **brought})
         batch.bench.begin(batch.shelf, batch.experiments, batch.members)
-        assert float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0]) == pytest.approx(
-            0.3, rel=1e-9
-        )
+        after = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
+        assert after == pytest.approx(0.3, rel=1e-9)
         batch.shelf.amounts[0, 0, batch.shelf.layout.index(goal)] += 0.25
         assert float(batch.finish(batch.members)[0]) == pytest.approx(0.25, rel=1e-9)
 
@@ -135,9 +130,6 @@ def test_fictitious_penalty(goal: str, score: float) -> None:
     assert float(batch.finish(batch.members)[0]) == pytest.approx(score, rel=1e-14)
 
 
-# -- what policies earn -------------------------------------------------------------------------------------------
-
-
 def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, float]:
     """Mean score for each goal on the paper's starting states."""
     found = {}
@@ -145,11 +137,8 @@ def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, fl
         batch = arena_for(bench, goal, scenario, episodes)
         shape = batch.bench.action_space.shape
         size = shape[0] if shape else 0
-        found[goal] = float(
-            play_experiments(
-                batch, scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)
-            ).mean()
-        )
+        player = scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)
+        found[goal] = float(play_experiments(batch, player).mean())
     return found
 
 

@@ -1,7 +1,5 @@
 """What the tests of seats share: the calls of a scripted episode, and the record that they make in this process."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

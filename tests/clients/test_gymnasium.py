@@ -1,7 +1,5 @@
 """Checkers of Gymnasium and Stable-Baselines3 on benches and views; Gymnasium's wrappers."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any
@@ -69,8 +67,7 @@ def test_wrappers() -> None:
 
 
 def test_vector_wrappers() -> None:
-    envs = role_vector_env(4)
-    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(role_vector_env(4))
     wrapped = gymnasium.wrappers.vector.NormalizeObservation(wrapped)
     wrapped = gymnasium.wrappers.vector.ClipReward(wrapped, -1.0, 1.0)
     _, infos = wrapped.reset(seed=0)
@@ -129,7 +126,7 @@ def test_batches_are_not_cut_short() -> None:
     batch = gymnasium.make_vec(single.spec, num_envs=2)
     assert batch.spec.max_episode_steps == single.spec.max_episode_steps == 21
     said = r"max_episode_steps.*up to 20 steps.*given 7"
-    refused("7", said, gymnasium.make_vec, "chemlab/WurtzReaction-v0", num_envs=2, max_episode_steps=7)
+    refused(said, gymnasium.make_vec, "chemlab/WurtzReaction-v0", num_envs=2, max_episode_steps=7)
 
 
 def _given(how: str, folder: Path) -> Any:
@@ -176,7 +173,7 @@ def test_a_spec_has_no_salt() -> None:
     for arguments in ({"scenario": load_scenario("rush", split=split)}, {"scenario": "rush", "split": split}):
         env = gymnasium.make("chemlab/Bench-v1", bench="rxn", **arguments)
         assert "0f" * 16 not in env.spec.to_json()
-        refused("split", r"split: must be .* or private:SALT", gymnasium.make, env.spec)
+        refused(r"split: must be .* or private:SALT", gymnasium.make, env.spec)
         again = gymnasium.make(env.spec, split=split)
         np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
 

@@ -1,7 +1,5 @@
 """inspect_ai plays seats of a room with its mock model."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

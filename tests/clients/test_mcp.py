@@ -1,7 +1,5 @@
 """The real MCP client at the seats of one room, over standard input and output and over HTTP."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -61,8 +59,7 @@ def test_over_standard_input_and_output(tmp_path: Path) -> None:
             await client.call_tool("look", {})
             return [text_of(await client.call_tool(verb, given)) for _, verb, given in calls]
 
-    texts = anyio.run(play)
-    assert "The episode is over (submitted)" in texts[-1]
+    assert "The episode is over (submitted)" in anyio.run(play)[-1]
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
 
 
@@ -82,8 +79,7 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
                 assert answer.status_code == 401
         async with at(port, "manager_0", tokens["manager_0"]) as manager, at(port, "dit_0", tokens["dit_0"]) as still:
             clients, text = {"manager_0": manager, "dit_0": still}, ""
-            waits = text_of(await still.call_tool("wait", {}))
-            assert "manager_0 has the turn" in waits
+            assert "manager_0 has the turn" in text_of(await still.call_tool("wait", {}))
             for agent, verb, given in calls:
                 await clients[agent].call_tool("look", {})
                 text = text_of(await clients[agent].call_tool(verb, given))
@@ -109,8 +105,7 @@ def test_a_signal_ends_the_episode_and_keeps_it(http: bool, ending: signal.Signa
                 break
             time.sleep(0.1)
     else:
-        message = {"jsonrpc": "2.0", "id": 1, "method": "ping"}
-        process.stdin.write(json.dumps(message).encode() + b"\n")
+        process.stdin.write(json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode() + b"\n")
         process.stdin.flush()
         process.stdout.readline()
     process.send_signal(ending)

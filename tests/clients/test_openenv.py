@@ -1,7 +1,5 @@
 """OpenEnv's client plays a seat of a room over a WebSocket, and its validator accepts the environment's folder."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,8 +16,6 @@ from openenv.core.generic_client import GenericEnvClient
 
 from chemlab.agents.openenv_server import seat_app
 
-ROOT = Path(__file__).parents[2]
-
 
 @contextmanager
 def served(app: Any) -> Iterator[str]:
@@ -31,8 +27,7 @@ def test_an_episode(tmp_path: Path) -> None:
     calls, record = played(("manager_0",), tmp_path / "here")
     app = seat_app(scenario="unlabelled", folder=tmp_path / "there", salt=SALT, seed=SEED)
     with served(app) as url, GenericEnvClient(base_url=url, message_timeout_s=300).sync() as client:
-        first = client.reset(seed=1)
-        assert "manager_0 in a simulated" in first.observation["result"]
+        assert "manager_0 in a simulated" in client.reset(seed=1).observation["result"]
         tools = client.step({"type": "list_tools"}).observation["tools"]
         assert {"start", "measure", "submit", "look", "wait"} <= {tool["name"] for tool in tools}
         wrong = client.step({"type": "call_tool", "tool_name": "measure", "arguments": {"slot": 77}})
@@ -53,7 +48,7 @@ def validated(*arguments: Any) -> str:
 
 def test_folder_and_server_are_valid() -> None:
     """What needs a container is skipped: nothing fails, and the server passes whole."""
-    report = validated(ROOT / "recipes" / "openenv", "--skip-build")
+    report = validated(Path(__file__).parents[2] / "recipes" / "openenv", "--skip-build")
     assert "PASS  static.manifest" in report
     assert "FAIL" not in report
     with served(seat_app(scenario="unlabelled")) as url:

@@ -4,28 +4,14 @@
 ``state_test`` stands with the AEC environment's own tests.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import FEATURED, seeded
-from pettingzoo.test import (
-    api_test,
-    bombardment_test,
-    parallel_api_test,
-    parallel_seed_test,
-    render_test,
-    seed_test,
-)
-from pettingzoo.utils import (
-    AssertOutOfBoundsWrapper,
-    BaseWrapper,
-    TerminateIllegalWrapper,
-    aec_to_parallel,
-    parallel_to_aec,
-)
+from pettingzoo.test import api_test, bombardment_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+from pettingzoo.utils import AssertOutOfBoundsWrapper, BaseWrapper, TerminateIllegalWrapper
+from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 
 from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env
@@ -44,9 +30,6 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:Observation numpy array is all zeros",
     "ignore:.*reset options",
 )
-
-
-# -- its tests --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -93,9 +76,6 @@ def test_seeds_bombardment_and_pictures(name: str, monkeypatch: pytest.MonkeyPat
     render_test(make, custom_tests={"ansi": lambda text: all(agent in text for agent in agents)})
 
 
-# -- its tools --------------------------------------------------------------------------------------------------------
-
-
 def test_conversions() -> None:
     api_test(seeded(parallel_to_aec(parallel_env())), num_cycles=100)
     with pytest.raises(AssertionError, match="is_parallelizable"):
@@ -122,9 +102,6 @@ def test_terminating_and_asserting_wrappers_read_the_mask_from_info() -> None:
         env.step(10**6)
 
 
-# -- infos ------------------------------------------------------------------------------------------------------------
-
-
 def assert_flat(infos: dict[str, dict[str, Any]], shapes: dict[str, dict[str, Any]]) -> None:
     """Numbers and arrays of the same keys, shapes and types as at the beginning."""
     for agent, info in infos.items():
@@ -147,8 +124,7 @@ def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
             number, mask = env.possible_agents.index(agent), env.infos[agent].get("action_mask")
             kept = {name: {key: np.copy(value) for key, value in info.items()} for name, info in env.infos.items()}
             seen = {name: dict(info) for name, info in env.infos.items()}
-            space = env.action_space(agent)
-            env.step(rng.random(space.shape) if mask is None else int(rng.choice(len(mask))))
+            env.step(rng.random(env.action_space(agent).shape) if mask is None else int(rng.choice(len(mask))))
             assert_flat(env.infos, shapes)
             # What was given before stays what it was, but for what an experiment's end adds to it.
             for name, info in seen.items():

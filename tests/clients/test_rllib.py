@@ -39,9 +39,8 @@ def recipe(monkeypatch: pytest.MonkeyPatch) -> Any:
     return script("recipes/rllib.py")
 
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::ResourceWarning"
-)
+IGNORED = ("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::ResourceWarning")
+pytestmark = pytest.mark.filterwarnings(*IGNORED)
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +62,9 @@ def parts(observation: Any) -> tuple[Any, Any]:
     return observation, None
 
 
-# -- the environment ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scenario", ["wurtz_two_lines", "fictitious"])
 def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> None:
-    """RLlib's environment beside PettingZoo's, which plays the same script: turns, observations, masks, rewards, ends.
-    The cooperative mix pays everybody for what others do."""
+    """RLlib's environment beside PettingZoo's in one script; the cooperative mix pays everybody for what others do."""
     ours = LaboratoryMultiAgentEnv({"scenario": scenario, "rewards": "cooperative"})
     theirs, rng = raw_env(scenario, rewards="cooperative"), np.random.default_rng(1)
     for seed in range(3):
@@ -148,27 +143,24 @@ def test_seeds_begin_the_same_episodes() -> None:
     class Context(dict[str, Any]):
         worker_index = 2
 
-    elsewhere = LaboratoryMultiAgentEnv(Context(settings))
-    assert episode(3, elsewhere) == episode(2003, env)
+    assert episode(3, LaboratoryMultiAgentEnv(Context(settings))) == episode(2003, env)
 
 
 def test_wrong_settings_and_steps_are_named() -> None:
     made, cook = LaboratoryMultiAgentEnv, "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
-    refused("scenery", r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
-    refused("cook", cook, made, {"roles": ["cook"]})
+    refused(r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
+    refused(cook, made, {"roles": ["cook"]})
     chosen = made({"roles": "rxn", "actions": "discrete"})
     assert (chosen.possible_agents, chosen.reset(seed=0)[0].keys()) == (["rxn_0"], {"rxn_0"})
     assert "action_mask" in chosen.reset()[0]["rxn_0"]
     env = made({"scenario": "wurtz_dodecane"})
-    refused("begin", "call reset", env.step, {"manager_0": 0})
+    refused("call reset", env.step, {"manager_0": 0})
     env.reset(seed=0)
-    refused("turn", "manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
-    refused("none", "step: needs a mapping of actions by agent", env.step, None)
-    refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
-    refused("options", 'options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
+    refused("manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
+    refused("step: needs a mapping of actions by agent", env.step, None)
+    refused(r"manager_0: .*given -1", env.step, {"manager_0": -1})
+    refused('options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
 
-
-# -- what RLlib makes of it -----------------------------------------------------------------------------------------
 
 TAPES: list[_Taped] = []
 
@@ -205,8 +197,7 @@ def test_rllib_collects_what_was_played(cluster: None, recipe: Any) -> None:
     """Through RLlib's env runner, which cuts episodes wherever a batch is full: every agent's observations, actions and
     rewards, in order, are those of the environment; no illegal action in 2000 turns; continuous ones are clipped."""
     TAPES.clear()
-    scenario = load_scenario("wurtz_dodecane")
-    config = recipe.algorithm_config(scenario, ROLES, seed=11, envs=3).environment(_Taped)
+    config = recipe.algorithm_config(load_scenario("wurtz_dodecane"), ROLES, seed=11, envs=3).environment(_Taped)
     runner = MultiAgentEnvRunner(config=config, worker_index=1)
     chunks = [chunk for _ in range(60) for chunk in runner.sample(num_timesteps=37)]
     collected: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))

@@ -1,7 +1,5 @@
 """Contracts of the recipes for language agents, each with the package that it is for: no model, no accelerator."""
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 from pathlib import Path

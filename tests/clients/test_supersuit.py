@@ -12,8 +12,6 @@ What they cannot do here, and why:
   the action of one agent for the next in AEC. A manager's action repeated is an illegal one anyway.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -67,9 +65,6 @@ def test_wrapped_laboratories_keep_to_pettingzoos_interface_and_masks_come_throu
             actions = {agent: legal(parallel, agent, infos[agent], rng) for agent in parallel.agents}
             _, _, _, _, infos = parallel.step(actions)
             assert not any(info["illegal_action"] for info in infos.values()), wrapper
-
-
-# -- all agents as one batch ------------------------------------------------------------------------------------------
 
 
 def homogeneous(name: str) -> Any:

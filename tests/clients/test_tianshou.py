@@ -1,10 +1,4 @@
-"""Tianshou on the laboratory's views: DQN with masks, on vectors of single environments.
-
-Tianshou looks for masks in the observation, so :class:`MaskInObservation` puts them there. Its ``PettingZooEnv`` wants
-one observation space and one action space for all agents, which the laboratory's roles do not have.
-"""
-
-from __future__ import annotations
+"""Tianshou's DQN with masks, which it expects in the observation, on vectors of single environments."""
 
 from typing import Any
 
@@ -48,13 +42,9 @@ def learner(env: gymnasium.Env[Any, Any], exploration: float) -> DQN[Any]:
     """DQN for a view."""
     seen = env.observation_space["obs"].shape  # type: ignore[index]
     network = Net(state_shape=seen, action_shape=int(env.action_space.n), hidden_sizes=[32])  # type: ignore[attr-defined]
-    policy: Any = DiscreteQLearningPolicy(
-        model=network,
-        action_space=env.action_space,
-        observation_space=env.observation_space,
-        eps_training=exploration,
-        eps_inference=exploration,
-    )
+    epsilon: Any = dict.fromkeys(("eps_training", "eps_inference"), exploration)
+    spaces = {"action_space": env.action_space, "observation_space": env.observation_space}
+    policy: Any = DiscreteQLearningPolicy(model=network, **spaces, **epsilon)
     return DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), target_update_freq=20)
 
 

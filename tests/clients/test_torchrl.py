@@ -1,7 +1,5 @@
 """TorchRL's ``PettingZooWrapper`` around the laboratory, AEC and parallel: specs, masks, rollouts, a training step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -45,9 +43,6 @@ def played(api: str, rollout: TensorDictBase, env: PettingZooWrapper) -> dict[st
     return counts
 
 
-# -- specs and masks --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("api", FACTORIES)
 @pytest.mark.parametrize("name", FEATURED)
 def test_specs(name: str, api: str) -> None:
@@ -59,8 +54,7 @@ def test_specs(name: str, api: str) -> None:
     for agent, group in groups.items():
         # AEC: a group an agent; parallel: a group a role, whose agents share their spaces.
         assert group == (agent if api == "aec" else agent.rpartition("_")[0])
-        discrete = hasattr(env.action_space(agent), "n")
-        assert env.has_action_mask[group] == discrete
+        assert env.has_action_mask[group] == hasattr(env.action_space(agent), "n")
         assert env.observation_spec[group, "observation"].shape[1:] == env.observation_space(agent).shape
 
 
@@ -74,9 +68,6 @@ def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     # `submit` is one of many legal actions, so random episodes are short: benches are not always reached.
     assert counts[next(iter(env.group_map))] > 10
     assert sum(counts.values()) > 30
-
-
-# -- training ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """TorchRL's environment over the batched laboratory: specs, the same episodes as elsewhere, and BenchMARL's critics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -64,11 +62,9 @@ def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None
 
 
 def test_its_episodes_are_those_of_single_laboratories() -> None:
-    """Actions of a random rollout, played again in the parallel environment: the same to the last digit, and random
-    ones are all legal. Where an episode ends the last observation is its own, and the next row is of a new one."""
+    """A random rollout, played again in the parallel environment; at an end the next row is of a new episode."""
     torch.manual_seed(0)
-    env = TorchLaboratory(3, "wurtz_dodecane", seed=5)
-    rollout = env.rollout(60, break_when_any_done=False)
+    rollout = TorchLaboratory(3, "wurtz_dodecane", seed=5).rollout(60, break_when_any_done=False)
     assert rollout["next", "done"].any()
     for member in range(3):
         single = parallel_env("wurtz_dodecane")
@@ -106,7 +102,7 @@ def test_seeds_begin_the_same_episodes_again() -> None:
     for _ in range(2):
         env.set_seed(3)
         for seed in (-1, 1.5, "2"):
-            refused(str(seed), "seed: must be an integer of at least 0", env._set_seed, seed)
+            refused("seed: must be an integer of at least 0", env._set_seed, seed)
         first.append(env.reset()["state"].clone())
     assert torch.equal(*first)
     assert torch.equal(first[0], other.reset()["state"])
@@ -122,7 +118,7 @@ def test_a_refused_action_changes_nothing(role: str, background: str) -> None:
         expected = twin.rand_action(expected)
         action = now[role, "action"] = expected[role, "action"].clone()
         if now[role, "has_turn"].any():
-            refused(role, f"{role}.*: actions must be", env.step, now.clone().set((role, "action"), 0 * action + 10**6))
+            refused(f"{role}.*: actions must be", env.step, now.clone().set((role, "action"), 0 * action + 10**6))
             tried += 1
         now, expected = env.step(now)["next"], twin.step(expected)["next"]
         assert torch.equal(now["state"], expected["state"])
@@ -130,9 +126,6 @@ def test_a_refused_action_changes_nothing(role: str, background: str) -> None:
             pairs = (env, now), (twin, expected)
             now, expected = (one.reset(seen.set("_reset", seen["done"])) for one, seen in pairs)
     assert tried > 20
-
-
-# -- BenchMARL --------------------------------------------------------------------------------------------------------
 
 
 def _trained(algorithm: str, folder: Path, **config: Any) -> Any:

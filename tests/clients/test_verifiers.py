@@ -1,7 +1,5 @@
 """verifiers plays seats of a room against a local endpoint that answers with the calls of a scripted episode."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json

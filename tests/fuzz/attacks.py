@@ -8,8 +8,6 @@ A run takes the place of what was kept of this kind and seed before; ``--forget`
 ``--look`` keeps nothing but the files that fail, one folder each, and says where they are.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess
@@ -36,7 +34,6 @@ TURNS = 25
 """Played where a file loads."""
 FORGED = ("wurtz_dodecane", "relay", "rush", "failing")
 """Scenarios of the episodes that are forged: the plain one, and ones with grades, reports, orders over time, wear."""
-_MARK = "attacks"
 Outcomes = dict[str, dict[str, int]]
 """By kind of file or forgery: how many came out how."""
 
@@ -72,8 +69,7 @@ def forged(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
     """Honest records of every scenario: how they verify."""
     command = [sys.executable, ROOT / "studies" / "speed" / "verify.py", "--episodes", str(tries), "--json"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    report = json.loads(done.stdout)
+    report = json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False).stdout)
     return {"honest records": report["status"]}, [str(alarm) for alarm in report["alarms"]]
 
 
@@ -124,11 +120,10 @@ def main() -> int:
             return int(bool(failures))
         own = {"kind": arguments.kind, "tries": arguments.tries, "seed": arguments.seed, "commit": _commit()}
         own |= {"outcomes": outcomes, "failures": len(failures)}
-        others = [
-            run for run in kept() if run["kind"] != own["kind"] or not (arguments.forget or run["seed"] == own["seed"])
-        ]
+        forget = arguments.forget
+        others = [run for run in kept() if run["kind"] != own["kind"] or not (forget or run["seed"] == own["seed"])]
         write_json(KEPT, [*others, own])
-    replace_between(PAGE, _MARK, list(table(kept())))
+    replace_between(PAGE, "attacks", list(table(kept())))
     return int(bool(failures))
 
 

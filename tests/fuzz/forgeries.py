@@ -1,9 +1,4 @@
-"""Results that must not be believed: forges records in the ways that once worked, and counts how they are taken.
-
-``python tests/fuzz/attacks.py forgeries --tries 20`` forges that many episodes of several scenarios.
-"""
-
-from __future__ import annotations
+"""Forges records in the ways that once worked (``attacks.py forgeries --tries 20``), and counts how they are taken."""
 
 import json
 from collections import Counter
@@ -18,6 +13,7 @@ from chemlab.envs.aec import raw_env
 from chemlab.record import verify_record
 
 NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60)
+
 Lines = list[str]
 
 
@@ -37,8 +33,7 @@ def record(
 ) -> Lines:
     """An honest episode's lines."""
     env = raw_env(scenario)
-    policies = make_policies(policy, env.laboratories, seed)
-    record_episode(path, env, policies, seed, options=options, force=True)
+    record_episode(path, env, make_policies(policy, env.laboratories, seed), seed, options=options, force=True)
     return path.read_text(encoding="utf-8").splitlines()
 
 
@@ -69,8 +64,7 @@ def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
     for first in (lines[0], text_of(header)):
         for number in NUMBERS:
-            end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
-            yield store(path, [first, *lines[1:-1], end])
+            yield store(path, [first, *lines[1:-1], lines[-1].replace(f'"score":{score}', f'"score":{number}')])
 
 
 def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:
@@ -133,15 +127,12 @@ def invented_world(lines: Lines, path: Path) -> Iterator[Path]:
         yield store(path, [text_of(forged), *asked[1:]])
 
 
-FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world)
-
-
 def forge(seeds: int, folder: Path, scenario: str = "wurtz_dodecane") -> dict[str, Counter[str]]:
     """How often each forgery was tried, and how it was taken: by status of its verification."""
     found: dict[str, Counter[str]] = {}
     for seed in range(seeds):
         lines = record(folder / "honest.jsonl", scenario, seed)
-        for forgery in FORGERIES:
+        for forgery in (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world):
             counter = found.setdefault(forgery.__name__, Counter())
             for path in forgery(lines, folder / "forged.jsonl"):
                 counter[verify_record(path).status] += 1

@@ -7,8 +7,6 @@ Each try takes a file that is read, changes it as ``fuzz_files.py`` does, in its
 to everything that reads such files: a policy that loads plays, a run is put into tables, its task looked for.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -166,8 +164,7 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
         write_json(file, json.loads(lines[at]), rng)
         lines[at] = file.read_bytes().decode("utf-8", "surrogateescape").replace("\n", " ")
         file.write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
-    runs = read_runs(folder)
-    cells_of(group_runs(runs))
+    cells_of(group_runs(read_runs(folder)))
     run.rewind(150)
     agent_policy(str(run.path), laboratory(SCENARIO), 0)
     from chemlab.agents.train.arguments import recorded_arguments
@@ -181,8 +178,7 @@ def try_sweep(folder: Path, rng: np.random.Generator) -> None:
     """A sweep: what is planned, where it stands, and how it is doing."""
     write_toml(folder / "sweep.toml", SWEEP, changed(SWEEP, SWEEP, rng), rng)
     out = folder / "out"
-    runs = plan(folder / "sweep.toml", out)
-    for one in runs[:20]:
+    for one in plan(folder / "sweep.toml", out)[:20]:
         assert one.run.path.resolve().is_relative_to(out.resolve()), "a run would stand somewhere else"
         status_of(one)
 

@@ -9,8 +9,6 @@ for the same part of another), loads it, builds its laboratory and, with ``--tur
 which some are not legal. What has been played is recorded, and the record must be right.
 """
 
-from __future__ import annotations
-
 import copy
 import importlib.util
 import json
@@ -41,7 +39,6 @@ from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.starts import lab_starts
 from chemlab.record import Play, Recorder, verify_record
 
-SECONDS = 20
 LONGEST_MESSAGE = 20_000
 
 CHEM = ("values",) if importlib.util.find_spec("rdkit") else ()
@@ -305,9 +302,8 @@ def attempt(folder: Path, kind: str, bases: Sequence[Files], rng: np.random.Gene
             scenario = load_scenario(folder / "lab.toml")
         elif kind == "record":
             name, other = (scenario_names()[i] for i in rng.integers(len(scenario_names()), size=2))
-            write_json(
-                folder / "dump.json", dump_scenario(load_scenario(name)), rng, dump_scenario(load_scenario(other))
-            )
+            one, another = (dump_scenario(load_scenario(own)) for own in (name, other))
+            write_json(folder / "dump.json", one, rng, another)
             scenario = restore_scenario(read_json(folder / "dump.json"), str(folder / "dump.json"))
         elif kind == "starts":
             scenario = recorded_starts(folder, rng)
@@ -447,7 +443,7 @@ def campaign(
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
-                with limited(SECONDS):
+                with limited(20):
                     said = one(folder, kind, rng)
                 outcomes[f"{kind}: {said}"] += 1
             except Exception:

@@ -10,8 +10,6 @@ given to the other readers: replay page, charts, demonstrations, command line. I
 - it is found right though it says something else than the record it was made from.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections import Counter

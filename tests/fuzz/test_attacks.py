@@ -1,7 +1,5 @@
 """What docs/security.md says was tried: its table is of what is kept, and every test and file it names is there."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

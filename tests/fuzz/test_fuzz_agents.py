@@ -1,7 +1,5 @@
 """A few hundred broken files about agents, always the same; more by ``python tests/fuzz/attacks.py agents --look``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

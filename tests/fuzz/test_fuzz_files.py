@@ -1,7 +1,5 @@
 """A few hundred broken files, the same every time; thousands by ``python tests/fuzz/attacks.py files --look``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

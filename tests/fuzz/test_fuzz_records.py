@@ -1,7 +1,5 @@
 """A few hundred mutated records; more by ``python tests/fuzz/attacks.py records --look``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,10 +1,4 @@
-"""Single benches as Gymnasium environments: what every registered id and its documentation say, alone and in batches.
-
-Batches are compared with single environments, copies with originals, and spaces with the laboratory's; rewards are
-recomputed from the bench's own measure of the vessels.
-"""
-
-from __future__ import annotations
+"""Single benches as Gymnasium environments: registered ids and their documentation, alone and in batches."""
 
 import gc
 import os
@@ -17,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from helpers import assert_is_singles, random_actions, random_legal
+from helpers import assert_is_singles, random_actions, random_legal, refused
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs import role_env
@@ -27,14 +21,8 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles import reaction_bench, separation_benches
 
 WURTZ = "wurtz_dodecane"
-IDS = sorted(
-    (
-        name
-        for name, spec in gymnasium.registry.items()
-        if name.startswith("chemlab/") and {"bench", "scenario"} <= set(spec.kwargs or {})
-    ),
-    reverse=True,
-)
+BENCHES = {name for name, spec in gymnasium.registry.items() if {"bench", "scenario"} <= set(spec.kwargs or {})}
+IDS = sorted((name for name in BENCHES if name.startswith("chemlab/")), reverse=True)
 """The last first: the quick tests take one, and the first has the slowest bench."""
 KINDS = ["chemlab/FictitiousReaction-v0", "chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
 """One of each kind of bench, for what the environment does around it."""
@@ -71,9 +59,6 @@ def test_every_bench_kind_is_registered() -> None:
         spec = gymnasium.spec(name)
         assert isinstance(spec.entry_point, str), "entry points are strings, so that importing chemlab stays light"
         assert isinstance(spec.vector_entry_point, str)
-
-
-# -- spaces, seeds ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -127,12 +112,8 @@ def test_a_seed_is_an_experiment_and_a_first_reset_without_one_draws_it() -> Non
         assert len(seen) == (8 if first is None else 7), "members without a seed get one each"
 
 
-# -- copies and states ------------------------------------------------------------------------------------------------
-
-
 def test_a_state_of_another_environment_changes_nothing() -> None:
-    """Another bench's, one with an array less or more, a shorter one, one of other numbers; of batches and of
-    laboratories, too."""
+    """Another bench's, more, fewer or shorter arrays, other types; of batches and laboratories, too."""
     reaction, distillation = "chemlab/WurtzReaction-v0", "chemlab/WurtzDistillation-v0"
     env, more, labs = single(reaction), batch(reaction, 4), Laboratories("wurtz_dodecane")
     env.reset(seed=1)
@@ -144,14 +125,10 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
         wrong = [single(distillation).get_state(), batch(reaction, 3).get_state(), [], state[:-1], [*state, state[0]]]
         wrong += [[*state[:-1], state[-1][:0]], [state[0].astype(np.float32), *state[1:]], [*state[:-1], "a"]]
         for other in wrong:
-            with pytest.raises(ValueError, match="state: does not fit this environment"):
-                put(other)
+            refused("state: does not fit this environment", put, other)
             assert_same_arrays(take(), state)
         put(state)
     more.close()
-
-
-# -- batches ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -167,8 +144,7 @@ def test_members_are_single_environments(name: str) -> None:
 
 def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
     """The step that ends may itself be illegal: at the step limit."""
-    name = "chemlab/WurtzExtraction-v0"
-    env = batch(name, 1, autoreset_mode="SameStep")
+    env = batch("chemlab/WurtzExtraction-v0", 1, autoreset_mode="SameStep")
     _, infos = env.reset(seed=0)
     illegal = int(np.flatnonzero(infos["action_mask"][0] == 0)[0])
     for step in range(1, env.bench.spec.step_limit + 1):
@@ -219,12 +195,6 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=300)
 
 
-def test_batches_refuse_render_modes_when_they_are_made() -> None:
-    for name, mode in (("chemlab/WurtzReaction-v0", "ansi"), ("chemlab/LabManager-v1", "hologram")):
-        with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
-            gymnasium.make_vec(name, num_envs=2, render_mode=mode)
-
-
 def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gymnasium closes every environment in the end, also those that have never been made."""
     noise: list[Any] = []
@@ -234,6 +204,8 @@ def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> Non
             RoleVectorEnv(**arguments)  # type: ignore[arg-type]
     gc.collect()
     assert noise == []
+    for name, mode in (("chemlab/WurtzReaction-v0", "ansi"), ("chemlab/LabManager-v1", "hologram")):
+        refused(f"render_mode: must be None.*{mode}", gymnasium.make_vec, name, num_envs=2, render_mode=mode)
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -251,9 +223,6 @@ def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
     np.testing.assert_array_equal(kept_infos.get("action_mask", np.zeros(0)), first_mask)
     np.testing.assert_array_equal(reused, overwritten)
     assert not np.array_equal(first, overwritten)
-
-
-# -- masks, goals, rewards --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -310,9 +279,6 @@ def test_a_step_after_the_end_is_refused(name: str) -> None:
     assert_same_arrays(env.get_state(), before)
     env.reset()
     env.step(action)
-
-
-# -- the generic id, starting states, rendering -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

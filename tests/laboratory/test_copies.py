@@ -1,9 +1,4 @@
-"""Copies, pickles and states of every environment class go on alike in the middle of an episode.
-
-Of the parallel environment, ``chemlab check`` looks at copies in every scenario.
-"""
-
-from __future__ import annotations
+"""Copies, pickles and states of every environment class go on alike in the middle of an episode."""
 
 import copy
 import pickle

@@ -1,7 +1,5 @@
 """``state()``: the true state of a laboratory, by name, in [0, 1], the same for the same laboratory."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

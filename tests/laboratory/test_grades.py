@@ -1,12 +1,10 @@
 """What a manager asks of an experiment besides its goal, what a bench is told of the world, and what it reports."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import laboratory, manager, mapping
+from helpers import laboratory, manager, mapping, refused
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -18,8 +16,7 @@ HOLD = np.array([0.5, 0.5, 0.0], dtype=np.float32)
 
 
 def graded(report: float | None = 0.0, **grade: float) -> dict[str, Any]:
-    """A campaign's laboratory with two grades, whose bench is told the rate that is drawn; three moles of four are
-    there from the beginning, and two in the single bench's vessel."""
+    """A campaign with two grades, whose bench observes the drawn rate; 3 mol there at first, 2 in the single bench."""
     values = mapping("campaign")
     values |= {"specifications": {}, "grades": {"quick": {"ticks": 4}, "asked": grade}}
     values["benches"]["rxn"] |= {"report": report, "start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 4.0}}}
@@ -47,8 +44,7 @@ def test_a_grade_limits_the_ticks_of_an_experiment() -> None:
     # A start without a grade is of the last.
     encode, start = env.laboratories.actions.encode, ("start", "rxn_0", 2, "2-chlorohexane")
     assert encode(*start) == encode(*start, "asked")
-    with pytest.raises(ValueError, match="takes 4 arguments"):
-        encode(*start[:3])
+    refused("takes 4 arguments", encode, *start[:3])
 
 
 def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None:
@@ -65,8 +61,7 @@ def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None
     manager(other, "start", "rxn_0", 0, "2-chlorohexane", "asked")
     manager(other, "wait")
     assert (other.observe("manager_0") == env.observe("manager_0")).all()
-    changed = np.flatnonzero(other.observe("rxn_0") != seen)
-    assert changed.tolist() == [slices["told"].start]
+    assert np.flatnonzero(other.observe("rxn_0") != seen).tolist() == [slices["told"].start]
 
 
 @pytest.mark.parametrize(("purity", "met"), [(0.1, True), (0.99, False)])
@@ -84,12 +79,11 @@ def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
     env = laboratory(graded())
     labs = env.laboratories
     slices = channel_slices(labs.channels)
-    names = [f"rxn_0_reported_{what}" for what in ("amount", "purity", "ticks")]
-    assert [float(env.observe("manager_0")[slices[name]][0]) for name in names] == [0.0, 0.0, 0.0]
+    said = [slices[f"rxn_0_reported_{what}"].start for what in ("amount", "purity", "ticks")]
+    assert env.observe("manager_0")[said].tolist() == [0.0, 0.0, 0.0]
     run(env, "quick")
     made = labs.shelf.amounts[0, 0, labs.shelf.layout.index("2-chlorohexane")]
-    said = [float(env.observe("manager_0")[slices[name]][0]) for name in names]
-    assert said == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
+    assert env.observe("manager_0")[said] == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
     many = Laboratories(load_scenario(graded(report=0.1)), 400)
     many.begin(world={"rate": 1.0})
     begin = many.actions.encode("start", "rxn_0", 0, "2-chlorohexane", "quick")

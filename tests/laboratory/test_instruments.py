@@ -1,7 +1,5 @@
 """Readings against closed forms from the data files; calibration, detection limit and noise; what a tier refuses."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -48,8 +46,7 @@ def test_every_reading_is_finite(contents: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("physics", TIERS)
 def test_density_and_temperature_of_a_mixture(physics: str) -> None:
-    """Mass over volume; in the paper's tier, where what is dissolved changes no density, of a solvent. Solids lie
-    below."""
+    """Mass over volume; in the paper's tier, of a solvent. Solids lie below."""
     contents = {"diethyl_ether": 2.0, "dodecane": 1.0} if physics == "real" else {"diethyl_ether": 2.0}
     litres = sum(grams(name, mol) / 1000.0 / MATERIALS[name].density_kg_l for name, mol in contents.items())
     kilograms = sum(grams(name, mol) for name, mol in contents.items()) / 1000.0
@@ -86,21 +83,18 @@ def test_impurities_lower_the_melting_point() -> None:
     melting, fusion = material.melting_point_k, material.real.fusion_enthalpy_j_mol
     assert float(Flask({"benzoic_acid": 1.0}).measure("melting_point")) == pytest.approx(melting)
     for impurity in (0.01, 0.1):
-        flask = Flask({"benzoic_acid": 1.0 - impurity, "naphthalene": impurity})
-        reading = float(flask.measure("melting_point"))
+        reading = float(Flask({"benzoic_acid": 1.0 - impurity, "naphthalene": impurity}).measure("melting_point"))
         assert reading == pytest.approx(1.0 / (1.0 / melting - GAS_CONSTANT / fusion * math.log(1.0 - impurity)))
         depression = GAS_CONSTANT * melting**2 * impurity / fusion
         assert melting - reading == pytest.approx(depression, rel=2.0 * impurity)
-    salted = Flask({"benzoic_acid": 1.0, "NaCl": 0.5})
-    assert float(salted.measure("melting_point")) == pytest.approx(melting)
+    assert float(Flask({"benzoic_acid": 1.0, "NaCl": 0.5}).measure("melting_point")) == pytest.approx(melting)
     assert str(Flask({"hexane": 1.0}).measure("melting_point")) == "nothing that melts"
 
 
 @pytest.mark.parametrize("physics", TIERS)
 def test_hplc_sees_what_dissolves(physics: str) -> None:
     """Molecules one by one, whether they fly or not, and ions as half a salt each; no metal."""
-    contents = {"water": 10.0, "dodecane": 0.5, "NaOH": 0.25}
-    flask = Flask(contents, physics=physics)
+    flask = Flask({"water": 10.0, "dodecane": 0.5, "NaOH": 0.25}, physics=physics)
     reading, dissolved = flask.measure("hplc"), flask.amounts["OH-"]  # the rest is not seen
     found = dict(zip(reading.labels, reading.values.tolist(), strict=True))
     assert dissolved > 0.1
@@ -111,9 +105,6 @@ def test_hplc_sees_what_dissolves(physics: str) -> None:
     assert f"ions {dissolved / total:.1%}" in str(reading)
     dry = Flask({"hexane": 1.0, "Na": 1.0}, physics=physics).measure("hplc")
     assert dict(zip(dry.labels, dry.values, strict=True))["hexane"] == 1.0
-
-
-# -- in a laboratory --------------------------------------------------------------------------------------------------
 
 
 def measured(name: str, spec: dict[str, Any], count: int = 1, seed: int = 0) -> Any:

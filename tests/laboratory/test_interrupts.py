@@ -1,10 +1,4 @@
-"""A step that is interrupted, or fails in the middle, has come to its end or says at the next one: call reset().
-
-``KeyboardInterrupt`` is raised at lines of chemlab's own code while an environment steps. What an uninterrupted twin
-does is the reference.
-"""
-
-from __future__ import annotations
+"""A step that is interrupted, or fails in the middle, has come to its end or says at the next one: call reset()."""
 
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What scenarios with hidden parameters give away for nothing: every hole that an attack found, as a test."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -96,17 +94,11 @@ def ended(spec: Scenario) -> tuple[list[float], float, list[dict[str, Any]]]:
     return rewards, float(labs.result(labs.members)[0]), infos
 
 
-def changed(feedback: float | str) -> Scenario:
-    values = mapping("campaign")
-    values["demand"]["feedback"] = feedback
-    values["specifications"] = {}
-    return load_scenario(values)
-
-
 def test_feedback_comes_when_the_scenario_says_and_the_rewards_are_the_score() -> None:
-    told = {}
+    told, values = {}, mapping("campaign") | {"specifications": {}}
     for feedback in ("none", 0.0, 0.2):
-        rewards, score, (early, late) = ended(changed(feedback))
+        values["demand"]["feedback"] = feedback
+        rewards, score, (early, late) = ended(load_scenario(values))
         assert sum(rewards) == pytest.approx(score)
         told[feedback] = rewards[0], early["submitted_mol"][0], early["purity"][0]
         truth = late["submitted_mol"][0], late["purity"][0]

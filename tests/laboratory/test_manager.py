@@ -1,14 +1,9 @@
-"""The manager: its action table, what starting, recalling, measuring and discarding do, its charges, and what it sees.
-
-Contents are put into vessels by hand, so that readings, purities and costs have closed forms.
-"""
-
-from __future__ import annotations
+"""The manager against closed forms: its action table, what its actions do, its charges, and what it sees."""
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, allowed, laboratory, litres, manager, mapping, refused
+from helpers import FEATURED, allowed, laboratory, litres, manager, refused
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -36,9 +31,6 @@ def seen(env: raw_env, name: str) -> npt.NDArray[np.float32]:
 def occupied(env: raw_env) -> list[int]:
     """Slots on which the manager sees a vessel."""
     return [s for s in range(env.scenario.shelf.slots) if seen(env, f"slot_{s}_occupied")[0] == 1.0]
-
-
-# -- the action table -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -72,16 +64,11 @@ def test_an_action_that_does_not_exist_is_refused() -> None:
         (("start", "rxn_0", 0, "gold"), "'gold'"),
         (("discard", -1), "-1"),
     ):
-        refused(str(action), f"manager action.*{part}", actions.encode, *action)
-
-
-# -- starting and returning -----------------------------------------------------------------------------------------
+        refused(f"manager action.*{part}", actions.encode, *action)
 
 
 def test_starting_reserves_slots_and_is_masked_without_them() -> None:
-    values = mapping(WURTZ)
-    values["shelf"]["slots"] = 4
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "shelf": {"slots": 4}})
     starts = {bench: ("start", bench, 1, "dodecane") for bench in ("rxn_0", "ext_0", "dit_0")}
     # Two vessels, two free slots: an extraction takes the vessel and reserves both free slots for its beakers.
     assert all(allowed(env, *start) for start in starts.values())
@@ -100,8 +87,7 @@ def test_starting_reserves_slots_and_is_masked_without_them() -> None:
     assert occupied(env) == [0, 1]
     assert all(allowed(env, *start) for start in starts.values())
     # The slot that a vessel left is kept for it: of three, two are not left for the beakers of an extraction.
-    values["shelf"]["slots"] = 3
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "shelf": {"slots": 3}})
     manager(env, "start", "rxn_0", 0, "dodecane")
     assert not allowed(env, *starts["ext_0"])
 
@@ -168,11 +154,8 @@ def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
 
 def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     """And its accident, where accidents have a price."""
-    values = mapping(WURTZ)
-    values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
-    values["safety"]["reward_price"] = 0.125
-    values["safety"]["weights"]["spill_l"] = 2.0
-    env = laboratory(values)
+    safety = {"reward_price": 0.125, "weights": {"spill_l": 2.0}}
+    env = laboratory({"base": WURTZ, "benches": {"ext": {"auxiliary_capacity_l": 0.2}}, "safety": safety})
     env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
     manager(env, "start", "ext_0", 0, "dodecane")
     manager(env, "start", "rxn_0", 1, "dodecane")
@@ -195,14 +178,9 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     assert env.agent_selection == "manager_0"
 
 
-# -- measuring ------------------------------------------------------------------------------------------------------
-
-
 def test_what_the_instruments_read() -> None:
     contents = {"water": 5.0, "diethyl_ether": 4.0, "dodecane": 1.0}
-    values = mapping(WURTZ)
-    values["shelf"]["vessel"] = [{"capacity_l": 1.2, "contents": contents}]
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "shelf": {"vessel": [{"capacity_l": 1.2, "contents": contents}]}})
     scenario, labs = env.scenario, env.laboratories
     for instrument in ("gas_chromatograph", "layer_camera", "uv_vis"):
         manager(env, "measure", 0, instrument)
@@ -219,8 +197,7 @@ def test_what_the_instruments_read() -> None:
     nearest = np.abs(picture[:, None] - np.array(shades)).argmin(axis=1)
     assert np.abs(picture - np.array(shades)[nearest]).max() < 1e-6
     assert (np.diff(nearest) >= 0).all()
-    volume = litres(scenario, contents)
-    assert (nearest < 2).sum() == pytest.approx(100.0 * volume / 1.2, abs=1.0)
+    assert (nearest < 2).sum() == pytest.approx(100.0 * litres(scenario, contents) / 1.2, abs=1.0)
     # UV-Vis: the spectrum of what is in there (its closed form: tests/physics/test_spectra.py).
     light = np.zeros(200)
     spectrum(labs.shelf.rows[0], labs.shelf.chem(), light)
@@ -229,9 +206,7 @@ def test_what_the_instruments_read() -> None:
 
 
 def test_a_sample_goes_to_waste() -> None:
-    values = mapping(WURTZ)
-    values["instruments"]["gas_chromatograph"]["sample_fraction"] = 0.25
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "instruments": {"gas_chromatograph": {"sample_fraction": 0.25}}})
     labs = env.laboratories
     labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
     total = labs.shelf.total()
@@ -244,9 +219,7 @@ def test_a_sample_goes_to_waste() -> None:
 
 
 def test_measuring_ends_with_the_budget() -> None:
-    values = mapping(WURTZ)
-    values["limits"]["budget"] = 0.025
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "limits": {"budget": 0.025}})
     manager(env, "measure", 0, "gas_chromatograph")  # 0.01 each
     manager(env, "measure", 0, "gas_chromatograph")
     assert seen(env, "budget")[0] == pytest.approx(0.005 / 0.025, rel=1e-5)
@@ -256,16 +229,11 @@ def test_measuring_ends_with_the_budget() -> None:
     manager(env, "measure", 0, "uv_vis")
     manager(env, "measure", 0, "balance")  # 0.0005
     manager(env, "measure", 0, "balance")
-    assert not any(allowed(env, "measure", slot, name) for slot in (0, 1) for name in values["instruments"])
-
-
-# -- stock, waste, costs --------------------------------------------------------------------------------------------
+    assert not any(allowed(env, "measure", slot, name) for slot in (0, 1) for name in env.scenario.instruments)
 
 
 def test_stock_is_finite_and_shared() -> None:
-    values = mapping(WURTZ)
-    values["benches"]["rxn"]["count"] = 2
-    env = laboratory(values)
+    env = laboratory({"base": WURTZ, "benches": {"rxn": {"count": 2}}})
     labs, index = env.laboratories, env.laboratories.shelf.layout.index
     manager(env, "start", "rxn_0", 0, "dodecane")
     manager(env, "start", "rxn_1", 1, "dodecane")
@@ -277,11 +245,8 @@ def test_stock_is_finite_and_shared() -> None:
     for agent in ("rxn_0", "rxn_1"):
         np.testing.assert_allclose(env.observe(agent)[left], [0.0, 0.75, 1.0, 0.0], atol=1e-6)
     assert labs.shelf.stock[0, index("1-chlorohexane")] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(
-        seen(env, "stock"),
-        [{"1-chlorohexane": 0.0, "2-chlorohexane": 0.75, "Na": 0.0}.get(name, 1.0) for name in values["stock"]],
-        atol=1e-6,
-    )
+    expected = {**dict.fromkeys(env.scenario.stock, 1.0), "1-chlorohexane": 0.0, "2-chlorohexane": 0.75, "Na": 0.0}
+    np.testing.assert_allclose(seen(env, "stock"), list(expected.values()), atol=1e-6)
     # The other bench asks for everything and gets what there is: nothing of the first, of the second the rest.
     env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0]))
     contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.experiments[1].places[0, 0]], strict=True))
@@ -290,9 +255,8 @@ def test_stock_is_finite_and_shared() -> None:
 
 
 def test_an_empty_bottle_is_masked() -> None:
-    values = mapping(WURTZ)
-    values["stock"]["water"] = 0.5 / litres(load_scenario(WURTZ), {"water": 1.0})  # half a litre
-    env = laboratory(values)
+    half_a_litre = 0.5 / litres(load_scenario(WURTZ), {"water": 1.0})
+    env = laboratory({"base": WURTZ, "stock": {"water": half_a_litre}})
     labs = env.laboratories
     manager(env, "start", "ext_0", 0, "dodecane")
     manager(env, "wait")
@@ -301,7 +265,7 @@ def test_an_empty_bottle_is_masked() -> None:
     assert env.infos["ext_0"]["action_mask"][adding] == 1
     do(env, "add water to EV, 0.4 L")  # 0.1 L is what is left
     contents = labs.shelf.amounts[0, labs.experiments[1].places[0, 0]]
-    assert contents[labs.shelf.layout.index("water")] == pytest.approx(values["stock"]["water"], rel=1e-9)
+    assert contents[labs.shelf.layout.index("water")] == pytest.approx(half_a_litre, rel=1e-9)
     assert env.infos["ext_0"]["action_mask"][adding] == 0
 
 
@@ -319,10 +283,8 @@ def test_discarding_fills_the_waste_and_frees_the_slot() -> None:
 
 
 def test_costs_are_itemized_and_add_up() -> None:
-    values = mapping(WURTZ)
-    env = laboratory(values)
-    scenario, labs = env.scenario, env.laboratories
-    costs = scenario.costs
+    env = laboratory(WURTZ)
+    scenario, labs, costs = env.scenario, env.laboratories, env.scenario.costs
     labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
     manager(env, "measure", 0, "uv_vis")
     manager(env, "measure", 1, "balance")
@@ -339,7 +301,7 @@ def test_costs_are_itemized_and_add_up() -> None:
     manager(env, "submit", 0)
     mol = {name: litre / litres(scenario, {name: 1.0}) for name, litre in (("water", 0.1), ("diethyl_ether", 0.2))}
     expected = {
-        "instruments": values["instruments"]["uv_vis"]["price"] + values["instruments"]["balance"]["price"],
+        "instruments": scenario.instruments["uv_vis"].price + scenario.instruments["balance"].price,
         "stock": sum(costs.stock_per_mol[name] * used for name, used in mol.items()),
         "waste": costs.waste_per_l * litres(scenario, thrown),
         "time": 4 * costs.tick,
@@ -363,9 +325,6 @@ def test_dissolved_salt_counts_as_salt_and_nothing_as_nothing() -> None:
         assert env.infos["manager_0"]["purity"] == pytest.approx([purity], rel=1e-12)
 
 
-# -- what the manager may not see -----------------------------------------------------------------------------------
-
-
 def test_the_outside_of_a_vessel_is_what_it_is() -> None:
     env = laboratory(WURTZ)
     labs = env.laboratories
@@ -378,9 +337,8 @@ def test_the_outside_of_a_vessel_is_what_it_is() -> None:
     fill = litres(env.scenario, {"water": 10.0}) / (0.75 * largest)
     assert seen(env, "slot_3_fill")[0] == pytest.approx(fill, rel=1e-6)
     channel = next(channel for channel in labs.channels if channel.name == "slot_3_temperature")
-    assert seen(env, "slot_3_temperature")[0] == pytest.approx(
-        (350.0 - channel.low) / (channel.high - channel.low), rel=1e-6
-    )
+    warmth = (350.0 - channel.low) / (channel.high - channel.low)
+    assert seen(env, "slot_3_temperature")[0] == pytest.approx(warmth, rel=1e-6)
     # An empty slot is zeros, but for readings that have never been taken and a vessel that has been nowhere.
     assert seen(env, "slot_4_occupied")[0] == seen(env, "slot_4_fill")[0] == seen(env, "slot_4_capacity")[0] == 0.0
 

@@ -1,10 +1,4 @@
-"""What agents may not see: contents, until somebody measures; and of a bench, anything but what its channels say.
-
-Laboratories that look alike from outside (volume, temperature, capacity, history) and differ in everything else are
-compared bit for bit.
-"""
-
-from __future__ import annotations
+"""Agents see no contents until somebody measures; laboratories that look alike are compared bit for bit."""
 
 from typing import Any
 
@@ -67,15 +61,11 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
     return number
 
 
-# -- the manager ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
     labs = Laboratories(name)
-    labs.seed(0, 1)
-    labs.reset(labs.members)
+    labs.begin(1)
     rng = np.random.default_rng(1)
     worked, at = 0, channel_slices(labs.channels)
     for turn in range(400):
@@ -108,15 +98,11 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
     assert worked > 10
 
 
-# -- benches --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["failing", "wurtz_two_lines"])
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)
-    labs.seed(0, 2)
-    labs.reset(labs.members)
+    labs.begin(2)
     rng = np.random.default_rng(2)
     looked = np.zeros(len(labs.experiments), dtype=int)
     # Experiments on benches with real physics are longer: it takes more turns to see each.
@@ -149,9 +135,6 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
             np.testing.assert_equal(labs.mask(b + 1, labs.members), mask)
             labs.restore(before)
     assert (looked > 0).all()
-
-
-# -- readings -------------------------------------------------------------------------------------------------------
 
 
 def reading(env: raw_env, slot: int, instrument: str) -> tuple[npt.NDArray[np.float32], float]:
@@ -206,9 +189,6 @@ def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
         assert age == 1.0
         assert not values.any()
         np.testing.assert_array_equal(reading(env, 1, instrument)[0], shown)
-
-
-# -- readings that the manager's observation has ---------------------------------------------------------------------
 
 
 def test_readings_that_are_left_out_change_nothing_else() -> None:

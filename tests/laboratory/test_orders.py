@@ -1,16 +1,11 @@
-"""Several orders, and who is paid what: submissions, endings, the observation's goals, scenario errors, reward mixes.
-
-Contents are put into vessels by hand, so that what a submission is worth has a closed form.
-"""
-
-from __future__ import annotations
+"""Several orders, and who is paid what: submissions, endings, the observation's goals, reward mixes."""
 
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, choose, laboratory, manager, mapping
+from helpers import allowed, choose, laboratory, manager, mapping, refused
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
@@ -42,9 +37,6 @@ def atoms(env: raw_env) -> Any:
     """Atoms of each element, and charge: in vessels, bottles, waste, and delivered."""
     labs = env.laboratories
     return element_matrix(env.scenario) @ (labs.shelf.total()[0] + labs.state.delivered[0])
-
-
-# -- submitting -----------------------------------------------------------------------------------------------------
 
 
 def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
@@ -152,9 +144,6 @@ def test_random_play_with_orders() -> None:
     assert max(filled) == 2
 
 
-# -- goals ----------------------------------------------------------------------------------------------------------
-
-
 def test_goals_of_orders_are_drawn_apart() -> None:
     """Uniformly and independently, in the first episodes of seeds and in the next; asked-for goals are all orders'."""
     env = laboratory(LINES)
@@ -170,9 +159,6 @@ def test_goals_of_orders_are_drawn_apart() -> None:
     assert (((counts - expected) ** 2 / expected).sum(axis=(1, 2)) < 80.0).all()
     env.reset(seed=0, options={"goal": choices[3]})
     assert goals(env) == [choices[3]] * 2
-
-
-# -- two lines at once ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -195,9 +181,6 @@ def test_the_scripted_manager_keeps_both_lines_busy() -> None:
             # Its own product, and not the other line's, or what was distilled off.
             assert order["submitted_mol"] > 0.15, f"seed {seed}"
             assert order["purity"] > 0.9, f"seed {seed}"
-
-
-# -- who is paid what -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [LINES, "wurtz_safe"])
@@ -249,5 +232,4 @@ def test_mixes_by_name_number_and_file() -> None:
 def test_unknown_mixes_are_refused(rewards: Any) -> None:
     given = f"{rewards!r}.*individual, cooperative, mixed" if isinstance(rewards, str) else "reward"
     for make in (raw_env, parallel_env, partial(BatchedLaboratory, 2), role_env, partial(role_vector_env, 2)):
-        with pytest.raises(ValueError, match=given):
-            make(LINES, rewards=rewards)
+        refused(given, make, LINES, rewards=rewards)

@@ -1,7 +1,5 @@
 """Roles: everything about an agent is asked of its role, and its index has no meaning."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -22,9 +20,7 @@ def played(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("name", ["wurtz_dodecane", "failing"])
-def test_an_episode_does_not_depend_on_the_order_of_the_agents(
-    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_no_episode_depends_on_the_order_of_agents(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     usual, agents = played(tmp_path, name), Scenario.agents
     assert len({agent for turn in usual for agent in turn.get("play", ())}) > 2
     monkeypatch.setattr(Scenario, "agents", lambda self: agents(self)[::-1])

@@ -1,7 +1,5 @@
 """Recorded starting vessels: what the files may hold, and that each vessel is in them once."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -22,10 +20,7 @@ from chemlab.physics.chemistry import AMOUNTS
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            {"benches": {"rxn": {"dodecane": [1]}}},
-            r"benches.rxn.dodecane: no vessel 1 among 1; run: chemlab export starts ",
-        ),
+        ({"benches": {"rxn": {"dodecane": [1]}}}, r"rxn.dodecane: no vessel 1 among 1; run: chemlab export starts "),
         ({"benches": {"rxn": {"gold": [0]}}}, r"benches.rxn.gold: vessel 0: unknown 'gold'"),
         ({"benches": {}}, r"has no vessels of bench 'rxn'"),
         ({"vessels": [{"capacity_l": 1.0, "contents_mol": {"gold": 1.0}}]}, r"vessel 0: unknown 'gold'"),
@@ -85,14 +80,15 @@ def test_a_role_that_no_bench_has_is_refused(tmp_path: Path) -> None:
     """It would be an index beyond the manager's observation."""
     (tmp_path / "lab.toml").write_text('base = "wurtz_dodecane"\nname = "lab"\n')
     scenario = load_scenario(tmp_path / "lab.toml")
-    for role, fits in ((2, True), (3, False)):
+
+    def prepare(role: int) -> None:
         start = Start("dodecane", 1.0, 1.2, {"water": 1.25}, "dit", role)
         write_starts(starts_file(scenario), scenario, {"dit": [start]})
-        if fits:
-            Laboratories(scenario).prepare({"dit": 1.0})
-        else:
-            with pytest.raises(DataError, match="last_position = 3 must be below 3"):
-                Laboratories(scenario).prepare({"dit": 1.0})
+        Laboratories(scenario).prepare({"dit": 1.0})
+
+    prepare(2)
+    with pytest.raises(DataError, match="last_position = 3 must be below 3"):
+        prepare(3)
 
 
 def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
@@ -105,9 +101,8 @@ def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
     assert goals_met(mine, "rxn") == ["F", "E"]
     starts_file(mine).write_text('{"scenario": "mine", "vessels": [], "benches": {}}', encoding="utf-8")
     assert goals_met(mine, "rxn") == ["F", "E"]
-    with pytest.raises(
-        DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E by --goal .*--goals .*goals="
-    ):
+    said = r"no vessel of goal 'F' for bench 'fin'; choose from E by --goal .*--goals .*goals="
+    with pytest.raises(DataError, match=said):
         RoleVectorEnv(1, "relay", bench="fin", starts="lab")
 
 

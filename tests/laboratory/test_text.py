@@ -1,7 +1,5 @@
 """The text of an observation: complete, and the same for people and for models."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -23,8 +21,6 @@ from chemlab.lab.text import (
     reading_words,
 )
 from chemlab.roles.bench import Channel, channel_slices
-
-LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)
 
 
 def live(labs: Laboratories, channels: tuple[Channel, ...]) -> npt.NDArray[np.float32]:
@@ -58,7 +54,7 @@ def variants(labs: Laboratories, channel: Channel) -> list[npt.NDArray[Any]]:
                 rows.append(rows[1].copy())
                 rows[-1][first : first + size] = shades[0] if first < 95 else shades[-1]
         return rows if len(shades) > 2 else rows[:-2]
-    rows = [np.full(n, level) for level in LEVELS]
+    rows = [np.full(n, level) for level in (0.0, 0.2, 0.45, 0.7, 1.0)]
     # Of a spectrum every seventh value; of what is shorter, all.
     for i in range(0, n, 7 if n > 40 else 1) if n > 1 else ():
         rows.append(np.full(n, 0.3))
@@ -144,10 +140,8 @@ def test_readings_are_as_exact_as_their_noise(noise: float, apart: float) -> Non
 
 def test_a_laboratory_is_described_as_its_manager_sees_it() -> None:
     """No goal before its order has arrived, and fill levels as the gauge shows them."""
-    values = mapping("wurtz_any") | {"demand": {"order": [{"arrives": 50}]}}
-    values["limits"]["ticks"] = 200
-    values["shelf"]["gauge"] = 0.1
-    env = laboratory(values)
+    demand = {"demand": {"order": [{"arrives": 50}]}, "limits": {"ticks": 200}}
+    env = laboratory({"base": "wurtz_any", "shelf": {"gauge": 0.1}, **demand})
     labs = env.laboratories
     vessel, seen = labs.shelf.vessel(0, 0), env.observe("manager_0")[channel_slices(labs.channels)["slot_0_fill"]]
     text = describe_laboratory(labs)

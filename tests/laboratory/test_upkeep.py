@@ -1,7 +1,4 @@
-"""Benches that wear and break, instruments that drift: against closed forms and the laws of random walks; part of state
-and records; nothing changes where nothing is declared."""
-
-from __future__ import annotations
+"""Benches that wear and break, instruments that drift: closed forms, random walks, and nothing where undeclared."""
 
 import math
 from typing import Any, cast
@@ -52,20 +49,13 @@ def begun(spec: Scenario, members: int = 1, seed: int = 0, **world: Any) -> Labo
     return labs
 
 
-# -- benches ----------------------------------------------------------------------------------------------------------
-
-
-def first_isomer(labs: Laboratories, slot: int = 0) -> float:
-    return float(labs.shelf.amounts[0, slot, labs.shelf.layout.index("1-chlorohexane")])
-
-
 def test_a_weak_stirrer_makes_a_tick_shorter() -> None:
     """A -> P at 345 K: exp(-k t), with t a tick times the gain."""
-    spec = scenario({"gain": 0.3})
-    labs = begun(spec)
+    labs = begun(scenario({"gain": 0.3}))
     assert run(labs, "rxn_0") == 20
     k = 4.86e12 * math.exp(-85000.0 / (8.314462618 * 345.0))
-    assert first_isomer(labs) == pytest.approx(4.0 * math.exp(-k * 20 * 0.016 * 0.3), rel=1e-3)
+    left = labs.shelf.amounts[0, 0, labs.shelf.layout.index("1-chlorohexane")]
+    assert left == pytest.approx(4.0 * math.exp(-k * 20 * 0.016 * 0.3), rel=1e-3)
 
 
 def test_heating_may_be_weak_instead() -> None:
@@ -93,8 +83,7 @@ def test_heating_may_be_weak_instead() -> None:
 
 
 def test_gains_and_lives_are_as_declared() -> None:
-    """The logarithm of a gain: normal with the spread, then a walk whose variance grows with the ticks of work; a life:
-    exponential."""
+    """ln of a gain: normal, then a walk whose variance grows with ticks of work; a life: exponential."""
     labs = begun(scenario({"gain": 0.8, "spread": 0.5, "drift": 0.05, "life": 5000.0}), 2000)
     for experiments in labs.experiments:
         first = np.log(experiments.gain[:, 0])
@@ -134,8 +123,7 @@ def test_a_bench_that_breaks_ends_its_experiment_and_waits_for_a_fitter() -> Non
     assert allowed(env, "start", "rxn_1", 0, "2-chlorohexane")
     manager(env, "repair", "rxn_0")
     assert labs.costs()["time"] == pytest.approx(0.03 + 5 * spec.costs.tick)
-    limit = spec.limits.ticks
-    assert env.observe("manager_0")[-4:] == pytest.approx([0.0, 7 / limit, 0.0, 0.0])
+    assert env.observe("manager_0")[-4:] == pytest.approx([0.0, 7 / spec.limits.ticks, 0.0, 0.0])
     for action in (("start", "rxn_0", 0, "2-chlorohexane"), ("repair", "rxn_0")):
         assert not allowed(env, *action)
     manager(env, "wait")  # for the fitter, as nobody works
@@ -145,14 +133,8 @@ def test_a_bench_that_breaks_ends_its_experiment_and_waits_for_a_fitter() -> Non
     assert set(labs.costs()) == set(COST_ITEMS)
 
 
-DRAWN_LIFE: dict[str, dict[str, Any]] = {
-    "life": {
-        "what": "life",
-        "of": ["rxn_0", "rxn_1", "rxn"],
-        "change": "value",
-        "distribution": {"kind": "uniform", "low": 1.0, "high": 1000.0},
-    }
-}
+LIVES = {"kind": "uniform", "low": 1.0, "high": 1000.0}
+DRAWN_LIFE = {"life": {"what": "life", "of": ["rxn_0", "rxn_1", "rxn"], "change": "value", "distribution": LIVES}}
 
 
 def test_a_repair_is_over_while_another_line_works() -> None:
@@ -192,9 +174,6 @@ def test_single_benches_wear_and_break_too() -> None:
     assert len(set(lengths)) > 2
 
 
-# -- instruments ------------------------------------------------------------------------------------------------------
-
-
 def readings(labs: Laboratories) -> Any:
     labs.act(0, labs.members, np.full(len(labs.members), labs.actions.encode("measure", 0, GC)))
     return labs.state.reading[:, 0].copy()
@@ -210,12 +189,10 @@ def test_biases_walk_with_time_and_go_with_a_calibration() -> None:
     assert 0.15 < exact[middle] < 0.85
     off = readings(labs)[:, middle] - exact[middle]
     assert off.std() == pytest.approx(math.sqrt(0.01**2 + 20 * 0.004**2), rel=0.08)
-    again = readings(labs)[:, middle] - exact[middle]
-    assert (again == off).all()  # no time has passed
+    assert ((readings(labs)[:, middle] - exact[middle]) == off).all()  # no time has passed
     labs.act(0, labs.members, np.full(1500, labs.actions.encode("calibrate", GC)))
     assert labs.charges(labs.members)[:, 0] == pytest.approx(2 * spec.instruments[GC].price + 0.02)
-    after = readings(labs)[:, middle] - exact[middle]
-    assert after.std() == pytest.approx(0.002, rel=0.08)
+    assert (readings(labs)[:, middle] - exact[middle]).std() == pytest.approx(0.002, rel=0.08)
 
 
 def test_a_trend_goes_on_from_the_last_calibration() -> None:
@@ -235,31 +212,15 @@ def test_a_trend_goes_on_from_the_last_calibration() -> None:
     assert not allowed(dear, "calibrate", GC)
     at = [channel.name for channel in labs.channels].index(f"{GC}_calibrated")
     sizes = [channel.size for channel in labs.channels]
-    seen = labs.observe(0, labs.members)[0, sum(sizes[:at])]
-    assert seen == pytest.approx(20 / spec.limits.ticks)
+    assert labs.observe(0, labs.members)[0, sum(sizes[:at])] == pytest.approx(20 / spec.limits.ticks)
 
 
-# -- worlds -----------------------------------------------------------------------------------------------------------
-
+GAINS = {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0}
+BIASES, TRENDS = {"kind": "normal", "mean": 0.0, "sd": 0.05}, {"kind": "uniform", "low": 0.0, "high": 1e-4}
 DRAWS: dict[str, dict[str, Any]] = {
-    "gain": {
-        "what": "gain",
-        "of": ["rxn_0", "rxn_1", "rxn"],
-        "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0},
-        "test": [[2.0, 5.0]],
-    },
-    "bias": {
-        "what": "bias",
-        "of": [GC],
-        "change": "offset",
-        "distribution": {"kind": "normal", "mean": 0.0, "sd": 0.05},
-    },
-    "trend": {
-        "what": "trend",
-        "of": [GC],
-        "change": "value",
-        "distribution": {"kind": "uniform", "low": 0.0, "high": 1e-4},
-    },
+    "gain": {"what": "gain", "of": ["rxn_0", "rxn_1", "rxn"], "distribution": GAINS, "test": [[2.0, 5.0]]},
+    "bias": {"what": "bias", "of": [GC], "change": "offset", "distribution": BIASES},
+    "trend": {"what": "trend", "of": [GC], "change": "value", "distribution": TRENDS},
     **DRAWN_LIFE,
 }
 
@@ -298,9 +259,6 @@ def test_worlds_draw_the_condition_of_benches_and_instruments() -> None:
 def test_draws_of_what_is_not_there_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message):
         scenario({}, {"walk": 0.1}, world={"draws": {"gain": {**DRAWS["gain"], "test": [], **change}}})
-
-
-def test_draws_of_what_does_not_wear_say_what_to_do() -> None:
     with pytest.raises(DataError, match=r"give benches\.rxn one: wear = \{ gain = 1\.0 \}"):
         scenario(world={"draws": {"gain": DRAWS["gain"]}})
 

@@ -1,7 +1,5 @@
 """Published results stand in the root of a checkout, outside the package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 if not (Path(__file__).parents[2] / "studies").is_dir():

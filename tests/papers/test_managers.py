@@ -1,7 +1,5 @@
 """Managers' results: which runs belong together, what is played, and what the page says of it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,6 @@ from studies.paper import managers
 from studies.paper.managers import BASELINES, MEASURES, collect, write_laboratory
 from studies.paper.tables import read_runs, read_table, write_runs, write_table
 
-SCRIPTED = run_files.HEURISTIC
 HOW = {"episodes": 10, "seed": RESULT_SEED, "chemlab": __version__}
 
 
@@ -42,9 +39,8 @@ def row(policy: str, score: float, run: str = "", background: str = "scripted", 
 
 def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> None:
     """Make a folder of runs one of tables, in which the runs by name and the baselines have been played."""
-    runs = read_runs(folder)
-    write_runs(folder, runs)
-    values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
+    write_runs(folder, read_runs(folder))
+    values = {"scripted": run_files.HEURISTIC, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
     write_table(folder / "managers.csv", managers._COLUMNS, [*rows, *more])
@@ -60,15 +56,10 @@ def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
     return {(row[0], row[1]): row[2:] for row in rows if row[0] != "benches"}
 
 
-# -- which runs -------------------------------------------------------------------------------------------------------
-
-
 def labels(folder: Path) -> dict[tuple[str, str], list[int]]:
     """{(background, label): seeds} of a folder's managers."""
     groups = managers._groups(read_runs(folder))
-    return {
-        (g.background, label): [run.finished.seed for run in runs] for g in groups for label, runs in g.labels.items()
-    }
+    return {(g.background, key): [run.finished.seed for run in runs] for g in groups for key, runs in g.labels.items()}
 
 
 def test_managers_are_grouped_by_scenario_background_and_settings(tmp_path: Path) -> None:
@@ -99,9 +90,6 @@ def test_without_managers_nothing_is_written(tmp_path: Path) -> None:
     assert not (tables / "managers.csv").exists()
     assert write_laboratory(source, out) == (None, [])
     assert not out.exists()
-
-
-# -- the page ---------------------------------------------------------------------------------------------------------
 
 
 def test_intervals_are_over_seeds(tmp_path: Path) -> None:
@@ -151,9 +139,6 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == files
 
 
-# -- playing ----------------------------------------------------------------------------------------------------------
-
-
 def test_what_measuring_costs_and_how_often_a_manager_acts() -> None:
     """Every episode's instruments and actions are those that the laboratory itself has charged and counted."""
     labs = Laboratories("wurtz_dodecane", 4)
@@ -172,8 +157,7 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     for seed in (0, 1):
         write_run(runs / "manager" / f"seed-{seed}", seed)
     write_runs(tables, read_runs(runs))
-    empty = write_run(runs / "other" / "seed-0")
-    (empty / "checkpoints" / "best-100").mkdir(parents=True)
+    (write_run(runs / "other" / "seed-0") / "checkpoints" / "best-100").mkdir(parents=True)
     store(tables, {"manager/seed-0": 0.7})
     before = stored(tables)
     told: list[str] = []
@@ -212,10 +196,7 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
 
 
 def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
-    """Two episodes from the seeds that training reported are the two that it reported; the page has them.
-
-    A joint run is compared over its own benches, not over the background's, which are not the default ones here.
-    """
+    """Two episodes from the seeds that training reported; a joint run is compared over its own benches."""
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"
     own: dict[str, Any] = {"roles": ("manager", "dit"), "background": "pretrained-isolated", "practice": 0.0}
     run_files.trained(path, algo="ippo", steps=200, epochs=1, final_episodes=2, **own)

@@ -1,7 +1,5 @@
 """Shipped bench policies on their benches and in the laboratory: what is stored and what the table says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -29,7 +27,7 @@ def test_bench_policies_are_no_managers() -> None:
 @pytest.mark.usefixtures("only")
 def test_the_table_is_what_evaluate_says(tmp_path: Path) -> None:
     """Returns on both kinds of starting states, the bench's reward in the laboratory and its score."""
-    refused("none", "--collect RUNS makes it", benches_table, tmp_path)
+    refused("--collect RUNS makes it", benches_table, tmp_path)
     told: list[str] = []
     collect_benches(tmp_path, 3, told.append)
     assert told == ["wurtz_ext"]

@@ -1,7 +1,5 @@
 """Tables of runs: what is read is what was written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +10,7 @@ from studies.paper.tables import read_runs, read_table, write_runs, write_table
 
 
 def test_tables_have_what_the_folders_have(tmp_path: Path) -> None:
-    """Every number of finished runs comes back as it was, of curves to 5 decimals; writing again changes no byte.
-
-    A rollout in which no episode ended is no point of a curve.
-    """
+    """Every number of finished runs, of curves to 5 decimals; a rollout without an end of an episode is no point."""
     runs, tables = tmp_path / "runs", tmp_path / "tables"
     write_run(runs / "x", "lab", "rxn", {"a": 0.4, "b": 0.4 + 0.1 / 3.0}, evaluations={500: 0.1, 1000: 0.4})
     write_run(runs / "y", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="ppo", envs=99, curriculum=["64: submit=0.5"])
@@ -40,14 +35,14 @@ def test_tables_have_what_the_folders_have(tmp_path: Path) -> None:
 
 
 def test_what_is_no_table_is_named(tmp_path: Path) -> None:
-    refused("no folder", "no such folder of results", read_runs, tmp_path / "nothing")
+    refused("no such folder of results", read_runs, tmp_path / "nothing")
     tables = tmp_path / "tables"
     write_run(tmp_path / "runs", "lab", "rxn", {"a": 0.4})
     write_runs(tables, read_runs(tmp_path / "runs"))
     (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
-    refused("no table", r"curves\.csv\.gz: not a table", read_runs, tables)
+    refused(r"curves\.csv\.gz: not a table", read_runs, tables)
     path = tmp_path / "any.csv"
     write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
     assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
-    refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
+    refused(r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
     assert read_table(tmp_path / "none.csv", ("a",)) == []

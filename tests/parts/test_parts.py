@@ -1,9 +1,4 @@
-"""Parts of a user's own, one file and one entry each: they do what they say, everywhere, and mistakes name them.
-
-``my_laboratory.toml`` has one of every kind, from ``my_parts.py`` beside it and from the filtration bench's file.
-"""
-
-from __future__ import annotations
+"""A user's parts, one of every kind in ``my_laboratory.toml``: they do what they say, and mistakes name them."""
 
 import pickle
 import subprocess
@@ -13,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import litres
+from helpers import laboratory, litres
 
 from chemlab.config.datafile import DataError
 from chemlab.config.parts import PartError
@@ -47,12 +42,8 @@ def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) 
     return np.asarray(seen[channel_slices(laboratories.roles[agent].channels)[name]])
 
 
-# -- what each part says, worked out by hand ----------------------------------------------------------------------
-
-
 def test_the_instrument_reads() -> None:
-    env = raw_env(FILE, render_mode="ansi")
-    env.reset(seed=0)
+    env = laboratory(FILE, render_mode="ansi")
     labs, shelf = env.laboratories, env.laboratories.shelf
     shelf.fill(0, 0, 1.2, {"water": 20.0, "diethyl_ether": 3.0})
     water, ether = litres(env.scenario, {"water": 20.0}), litres(env.scenario, {"diethyl_ether": 3.0})
@@ -112,8 +103,7 @@ def test_the_operation_acts() -> None:
 
 
 def test_rewards_in_the_laboratory() -> None:
-    env = raw_env(FILE)
-    env.reset(seed=0)
+    env = laboratory(FILE)
     labs = env.laboratories
     measure = labs.actions.encode("measure", 1, "refractometer")
     env.step(measure)
@@ -123,8 +113,7 @@ def test_rewards_in_the_laboratory() -> None:
     env.step(labs.actions.encode("wait"))
     assert env.agent_selection == "ext_0"
     env.step(A_TENTH)
-    filled = litres(env.scenario, {"diethyl_ether": 3.6})
-    assert env.rewards["ext_0"] == pytest.approx(-0.01 * filled, rel=1e-9)
+    assert env.rewards["ext_0"] == pytest.approx(-0.01 * litres(env.scenario, {"diethyl_ether": 3.6}), rel=1e-9)
     assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"vapour_mol": 0.4})
     env.step(END)
     assert env.agent_selection == "manager_0"
@@ -152,9 +141,6 @@ def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plain.batch.shelf.rows, compiled.batch.shelf.rows)
 
 
-# -- other processes ----------------------------------------------------------------------------------------------
-
-
 def test_another_process_finds_the_files(tmp_path: Path) -> None:
     """One that has never seen the scenario, and runs elsewhere."""
     env = RoleEnv(FILE, bench="fil"), RoleEnv(FILE, bench="ext")
@@ -165,8 +151,6 @@ def test_another_process_finds_the_files(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str([float(each.step(0)[1]) for each in env])
 
-
-# -- mistakes -----------------------------------------------------------------------------------------------------
 
 MISTAKES = """
 from dataclasses import replace as _replace
@@ -281,8 +265,7 @@ def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, say
         env = RoleEnv(path, bench="ext")
         env.reset(seed=0)
         env.step(A_TENTH)
-        whole = raw_env(path)
-        whole.reset(seed=0)
+        whole = laboratory(path)
         whole.step(whole.laboratories.actions.encode("measure", 0, "refractometer"))
         reading_words(whole.laboratories, 0, "refractometer")
 

@@ -1,7 +1,5 @@
 """A tier of physics from outside: kernels that are given its chemistry follow its laws, and nobody else does."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -22,7 +20,6 @@ from chemlab.physics.mass_action import integrate as react
 from chemlab.physics.mass_action import react_work_size
 from chemlab.physics.shelf import Shelf
 
-START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}
 TEMPERATURE_K = 320.0
 
 
@@ -31,8 +28,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "physics-tier.md"
 
 @pytest.fixture(scope="module")
 def laws(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the page's tier, to the letter: kernels are compiled once for what the page does with it and for what
-    is tested here."""
+    """Folder of the page's tier, to the letter; its kernels are compiled once for all tests here."""
     folder = tmp_path_factory.mktemp("laws")
     found = re.search(r"^# file: brisk_laws\.py\n.*?(?=^```$)", PAGE.read_text(encoding="utf-8"), re.S | re.M)
     assert found is not None
@@ -51,7 +47,7 @@ def brisk(laws: Path, monkeypatch: pytest.MonkeyPatch) -> Scenario:
 def reacted(scenario: Scenario, time: float) -> np.ndarray:
     """[M] mol after some time."""
     shelf = Shelf(build_chemistry(scenario), 1, 1)
-    row = shelf.fill(0, 0, 1.2, START).row
+    row = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}).row
     work = np.zeros(react_work_size(shelf.known()))
     react(row, shelf.chem(), 0.5, TEMPERATURE_K, time, 1e-10, 1e-13, work)
     return row[AMOUNTS : AMOUNTS + len(shelf.layout.materials)].copy()
@@ -70,13 +66,8 @@ def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
 
 def test_nobody_gets_another_tiers_laws_without_compiling_either() -> None:
     tests = [f"{__file__}::{test.__name__}" for test in (test_its_kernels_follow_its_laws, test_a_law_can_be_called)]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "-q", *tests],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
+    words, plain = [sys.executable, "-m", "pytest", "-n", "0", "-q", *tests], {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(words, env=plain, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stdout
 
 
@@ -94,8 +85,7 @@ def test_the_scenario_says_which(brisk: Scenario) -> None:
     paper = build_chemistry(load_scenario("wurtz_dodecane"))
     assert paper.tier == "paper"
     assert len(paper.structure["laws"]) <= len(LAWS)  # functions of the backend real are not compiled for another
-    restored = restore_scenario(dump_scenario(brisk), "a copy")
-    assert restored.physics == "brisk"
+    assert restore_scenario(dump_scenario(brisk), "a copy").physics == "brisk"
     # Defaults are left out.
     assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
     with pytest.raises(DataError, match="unknown backend 'slow'; choose from paper, real, brisk"):

@@ -1,7 +1,5 @@
 """Compiled kernels and their cache on disk."""
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil
@@ -130,8 +128,7 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, t
 @pytest.mark.slow
 def test_processes_that_start_at_once_agree(tmp_path: Path) -> None:
     processes = [start(PLAY, tmp_path) for _ in range(3)]
-    results = {process.communicate(timeout=900)[0] for process in processes}
-    assert results == {play(tmp_path)[0]}
+    assert {process.communicate(timeout=900)[0] for process in processes} == {play(tmp_path)[0]}
 
 
 INTERRUPTED = """
@@ -162,13 +159,10 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path: Path) -> Non
     script = tmp_path / "interrupted.py"
     script.write_text(INTERRUPTED, encoding="utf-8")
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    outputs = [
-        subprocess.run(
-            [sys.executable, str(script), how], capture_output=True, text=True, env=environment, timeout=300
-        ).stdout
-        for how in ("interrupted", "whole")
-    ]
-    assert outputs == ["interrupted\n", "3.0\n"]
+    for how, printed in (("interrupted", "interrupted\n"), ("whole", "3.0\n")):
+        words = [sys.executable, str(script), how]
+        run = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300)
+        assert run.stdout == printed
 
 
 def test_an_interruption_waits_for_the_function_that_is_compiled() -> None:

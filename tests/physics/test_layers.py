@@ -1,22 +1,18 @@
 """Layers: the profile conserves volume for every vessel, has the design's limits and slopes; the camera samples it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import PIXELS, Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.physics.chemistry import CLOCK, PRESENT
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.physics.stratification import camera
-
-FloatArray = npt.NDArray[np.float64]
 
 GLASS = Glassware("wurtz_dodecane", 1)
 FOUR = Glassware(four_solvents(), 1)
@@ -74,7 +70,6 @@ amounts = st.one_of(
     st.floats(0.01, 3.0),
     st.floats(-12.0, -2.0).map(lambda power: 10.0**power),  # down to less than a thousandth of a pixel
 )
-fullness = st.one_of(st.just(1.0), st.floats(0.02, 1.0))
 clocks = st.one_of(
     st.sampled_from([T_MIX, T_MIX + 1e-6, CLOCK_SETTLED - 1e-6, CLOCK_SETTLED]), st.floats(T_MIX, CLOCK_SETTLED)
 )
@@ -86,7 +81,7 @@ clocks = st.one_of(
         amounts,
         min_size=3,
     ),
-    fullness,
+    st.one_of(st.just(1.0), st.floats(0.02, 1.0)),
     clocks,
 )
 @settings(max_examples=200)
@@ -151,13 +146,6 @@ def test_fully_settled_vessel_is_stacked(contents: dict[str, float]) -> None:
     np.testing.assert_allclose(shares, stacked(expected_volumes(GLASS, names, 1.3)), rtol=0.0, atol=1e-10)
 
 
-def slope(glass: Glassware, names: list[str], clock: float, i: int, j: int) -> float:
-    """(mu_i - mu_j) / sigma^2 as PHYSICS section 2 has it, per vessel height."""
-    density = densities(glass, names)
-    mean = [(clock - T_MIX) * sum(other - own for other in density) for own in density]
-    return float((mean[i] - mean[j]) * np.sqrt(2.0 * np.pi) * np.exp(clock))
-
-
 @pytest.mark.parametrize("since_mixed", [0.2, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize(
     "contents",
@@ -170,20 +158,19 @@ def test_layers_part_with_the_designs_slope(contents: dict[str, float], since_mi
     FOUR.fill(0, contents, 1.3, clock=clock)
     FOUR.partition(0)
     names, shares = FOUR.profile(0)
-    fluids, height = names[1:], (np.arange(PIXELS) + 0.5) / PIXELS
-    compared = 0
+    fluids, height, compared = names[1:], (np.arange(PIXELS) + 0.5) / PIXELS, 0
+    density = densities(FOUR, fluids)
+    mean = [since_mixed * sum(other - own for other in density) for own in density]
     for i in range(len(fluids)):
         for j in range(i):
             both = (shares[1 + i] > 1e-12) & (shares[1 + j] > 1e-12)
             ratio = np.log(shares[1 + i, both] / shares[1 + j, both])
-            steps, expected = np.diff(ratio) / np.diff(height[both]), slope(FOUR, fluids, clock, i, j)
+            steps = np.diff(ratio) / np.diff(height[both])
+            expected = (mean[i] - mean[j]) * np.sqrt(2.0 * np.pi) * np.exp(clock)  # PHYSICS, section 2
             assert expected > 0.0  # columns go from dense to light: the lighter one wins with height
             np.testing.assert_allclose(steps, expected, rtol=1e-4)
             compared += both.sum()
     assert compared > 10 * len(fluids)
-
-
-# -- the camera ---------------------------------------------------------------------------------------------------
 
 
 def pictures(glass: Glassware, seed: int, number: int) -> FloatArray:
@@ -223,8 +210,7 @@ def test_camera_shows_solids_by_volume() -> None:
     GLASS.fill(0, {"NaCl": 10.0, "NaOH": 20.0}, 0.5)
     solids = GLASS.volume(0, "NaCl", "NaOH")
     share = GLASS.volume(0, "NaCl") / solids
-    full = int(solids / 0.5 * PIXELS)
-    seen = pictures(GLASS, 3, 200)[:, :full]
+    seen = pictures(GLASS, 3, 200)[:, : int(solids / 0.5 * PIXELS)]
     salt, base = (GLASS.scenario.materials[name].shade for name in ("NaCl", "NaOH"))
     assert np.isin(seen, [salt, base]).all()
     spread = np.sqrt(share * (1.0 - share) / seen.size)
@@ -233,8 +219,7 @@ def test_camera_shows_solids_by_volume() -> None:
 
 def test_no_vessel_is_black() -> None:
     """Where no vessel stands every pixel is 0, though the stream holds random numbers."""
-    row = GLASS.fill(0, {"water": 10.0}, 0.9)
-    row[PRESENT] = 0.0
+    GLASS.fill(0, {"water": 10.0}, 0.9)[PRESENT] = 0.0
     names, _ = GLASS.profile(0)
     assert names == []
     assert (pictures(GLASS, 1, 3) == 0.0).all()
@@ -242,11 +227,9 @@ def test_no_vessel_is_black() -> None:
 
 def test_profile_leaves_the_vessel_alone() -> None:
     """Looking at the layers changes nothing in the vessel, bit for bit."""
-    row = GLASS.fill(0, {"water": 10.0, "diethyl_ether": 3.0, "NaCl": 1.0}, 0.9, clock=0.3)
-    GLASS.phases(0)
+    row = GLASS.mixed(0, {"water": 10.0, "diethyl_ether": 3.0, "NaCl": 1.0}, 0.9)
+    row[CLOCK] = 0.3
     GLASS.partition(0)
     before = row.copy()
-    GLASS.profile(0)
     pictures(GLASS, 5, 2)
     assert (row == before).all()
-    assert row[CLOCK] == 0.3

@@ -1,7 +1,5 @@
 """Partition: the settled limit in closed form, the three-case update by hand, conservation through any sequence."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -32,9 +30,6 @@ def star(glass: Glassware, contents: dict[str, float], solute: str, clock: float
 
 def where(glass: Glassware, position: int, solute: str, solvents: tuple[str, ...]) -> list[float]:
     return [glass.in_solvent(position, solute, name) for name in solvents]
-
-
-# -- closed forms -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("solute", ["Na+", "dodecane"])
@@ -92,15 +87,12 @@ def test_vessel_as_filled_holds_the_settled_distribution() -> None:
     assert where(FOUR, 0, "dodecane", SOLVENTS[:2]) == pytest.approx(expected, rel=1e-9)
 
 
-# -- the three-case update ----------------------------------------------------------------------------------------
-
 PAIR = {"water": 6.0, "hexane": 3.0}
 
 
 def start(clock: float, in_water: float, in_hexane: float) -> None:
     """A vessel whose dodecane is known to be so much in water and so much in hexane at ``clock``."""
-    row = FOUR.fill(0, {**PAIR, "dodecane": in_water + in_hexane}, clock=clock)
-    row[CLOCK_WAS] = clock
+    FOUR.fill(0, {**PAIR, "dodecane": in_water + in_hexane}, clock=clock)[CLOCK_WAS] = clock
     k = FOUR.layout.dissolved.index("dodecane")
     FOUR.dissolved(0)[k] = 0.0
     FOUR.dissolved(0)[k, FOUR.layout.solvents.index("water")] = in_water
@@ -112,7 +104,10 @@ def in_water() -> float:
 
 
 def test_settling_keeps_the_deviation() -> None:
-    """t > t': S(t) = S*(t) + S(t') - S*(t')."""
+    """t > t': S(t) = S*(t) + S(t') - S*(t'); t = t': S stays, whatever S* is."""
+    start(T_MIX + 0.3, 0.18, 0.02)
+    FOUR.partition(0)
+    assert in_water() == pytest.approx(0.18, rel=1e-14)
     before, after = T_MIX + 0.01, T_MIX + 0.05
     start(before, 0.05, 0.15)
     FOUR.turn(0, 0.04)
@@ -136,13 +131,6 @@ def test_mixing_shrinks_the_deviation() -> None:
     assert FOUR.in_solvent(0, "dodecane", "hexane") == pytest.approx(0.2 - expected, rel=1e-12)
 
 
-def test_standing_still_changes_nothing() -> None:
-    """t = t': S stays, whatever S* is."""
-    start(T_MIX + 0.3, 0.18, 0.02)
-    FOUR.partition(0)
-    assert in_water() == pytest.approx(0.18, rel=1e-14)
-
-
 def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
     """Where the update asks for less than nothing in water, all of it is in hexane."""
     before = T_MIX + 0.01
@@ -150,9 +138,6 @@ def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
     FOUR.turn(0, 0.5)
     assert star(FOUR, PAIR, "dodecane", T_MIX + 0.51)["water"] < star(FOUR, PAIR, "dodecane", before)["water"]
     assert where(FOUR, 0, "dodecane", ("water", "hexane")) == [0.0, pytest.approx(0.2, rel=1e-15)]
-
-
-# -- conservation -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("trace", [5e-324, 1e-311, 1e-200])

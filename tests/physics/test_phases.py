@@ -1,7 +1,5 @@
 """Phases: the closed-form salt equilibrium against SciPy's stiff solvers; what reacts at once, by stoichiometry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from chemlab.physics.events import METAL_IN_WATER
 from chemlab.physics.shelf import CLOCK_SETTLED, Shelf
 
 GLASS = Glassware(four_solvents(), 1)
-SALTS = {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}
 IONIC = ("NaCl", "NaOH", "Na+", "Cl-", "OH-")
 SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")
 
@@ -32,7 +29,7 @@ def steady_state(contents: dict[str, float], method: str = "Radau") -> dict[str,
 
     def slope(_: float, amount: np.ndarray) -> np.ndarray:
         change = np.zeros(len(IONIC))
-        for salt, (cation, anion) in SALTS.items():
+        for salt, (cation, anion) in {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}.items():
             dissolving = sum(k * amount[order[salt]] * solvent for solvent in solvents)
             rate = dissolving - k * amount[order[cation]] * amount[order[anion]]
             change[[order[cation], order[anion]]] += rate
@@ -53,9 +50,6 @@ def settled(contents: dict[str, float], capacity: float = 5.0) -> dict[str, floa
     return {name: GLASS.amount(0, name) for name in IONIC}
 
 
-# -- the equilibrium ----------------------------------------------------------------------------------------------
-
-
 small = st.floats(0.01, 3.0)
 
 
@@ -64,9 +58,7 @@ small = st.floats(0.01, 3.0)
     st.dictionaries(st.sampled_from(IONIC), small, min_size=2),
 )
 @settings(max_examples=25)
-def test_any_mixture_comes_to_the_rest_of_its_rate_equations(
-    solvents: dict[str, float], ionic: dict[str, float]
-) -> None:
+def test_mixtures_come_to_the_rest_of_their_rate_equations(solvents: dict[str, float], ionic: dict[str, float]) -> None:
     """The same for random amounts of both salts and all ions, neutral or not, in up to four solvents."""
     contents = {**solvents, **ionic}
     GLASS.fill(0, contents, 20.0)
@@ -113,9 +105,6 @@ def test_nothing_happens_to_an_empty_vessel_or_to_oil() -> None:
     assert (GLASS.events == 0.0).all()
 
 
-# -- metal in water -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("metal", "water", "reacted"), [(0.4, 5.0, 0.4), (1.0 / 3.0, 7.0, 1.0 / 3.0), (2.0, 0.5, 0.5), (1.0, 1.0, 1.0)]
 )
@@ -137,8 +126,6 @@ def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, rea
     np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12, atol=1e-12)
     assert glass.waste.sum() == glass.waste[glass.index("H2")]
 
-
-# -- other violent reactions, and gases ----------------------------------------------------------------------------
 
 NEUTRAL = """
 name = "neutral"
@@ -178,8 +165,7 @@ def test_a_violent_reaction_counts_as_the_event_it_names(tmp_path: Any) -> None:
 def test_gas_that_is_in_a_vessel_leaves_it_for_the_waste() -> None:
     """Whatever reaction made it: mol by mol, and nothing else goes."""
     glass = Glassware(vessels=1)
-    row = glass.fill(0, {"diethyl_ether": 2.0})
-    row[AMOUNTS + glass.index("H2")] = 0.25
+    glass.fill(0, {"diethyl_ether": 2.0})[AMOUNTS + glass.index("H2")] = 0.25
     atoms = glass.atoms()
     glass.phases(0)
     assert glass.amount(0, "H2") == 0.0

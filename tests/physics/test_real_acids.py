@@ -1,26 +1,22 @@
 """Acids and bases of the tier ``real``: standard buffers, closed forms of titrations, atoms, charge and heat."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_tier import enthalpy_of, filled, real_table
 from scipy.optimize import brentq
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table
 from chemlab.physics.backends.real.acids import acid_work_size, ph, settle_acids
 from chemlab.physics.chemistry import AMOUNTS, ROLE_ION, ROLE_SOLVENT, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
-
-FloatArray = npt.NDArray[np.float64]
 
 ROOM = 298.15
 WATER, PROTON, HYDROXIDE = range(3)
@@ -129,8 +125,6 @@ def read(row: FloatArray, chem: Any) -> float:
     return ph(row, chem)
 
 
-# -- the pH scale ----------------------------------------------------------------------------------------------------
-
 # mol/kg of each species of the acid, from the most acidic one on, and the pH at 25 and 37 °C: Buck et al., Pure Appl.
 # Chem. 74 (2002) 2169.
 BUFFERS: dict[str, tuple[str, int, Sequence[float], float, float | None]] = {
@@ -168,9 +162,6 @@ def test_strong_acid_strong_base_and_water() -> None:
         expected = 0.5 * (WATER_PK - WATER_HEAT / (math.log(10.0) * GAS_CONSTANT) * (1.0 / ROOM - 1.0 / temperature))
         assert Solutions().ph({}, temperature) == pytest.approx(expected, abs=1e-3)
     assert Solutions(debye=0.0).ph({}) == pytest.approx(0.5 * WATER_PK, abs=1e-6)
-
-
-# -- closed forms, all activity coefficients 1 -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("pk", [-3.0, 2.0, 4.756, 9.0])
@@ -217,9 +208,6 @@ def test_activities_obey_the_law_of_mass_action() -> None:
         assert mol[PROTON] * mol[4] / mol[3] == pytest.approx(expected, rel=2e-3)
 
 
-# -- what is conserved, refused, left alone --------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=300)
 def test_atoms_charge_and_enthalpy_are_conserved(seed: int) -> None:
@@ -248,8 +236,7 @@ def test_atoms_charge_and_enthalpy_are_conserved(seed: int) -> None:
     assert enthalpy_of(row, solutions.table.handle) == pytest.approx(heat, abs=1e-9 * scale)
     np.testing.assert_array_equal(row[AMOUNTS + solutions.materials :: 2], after)
     assert not row[AMOUNTS + solutions.materials + 1 :: 2].any()
-    again = solutions.settle(row.copy())
-    np.testing.assert_allclose(again, row, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(solutions.settle(row.copy()), row, rtol=1e-9, atol=1e-12)
 
 
 def test_other_layers_and_crystals_take_no_part() -> None:

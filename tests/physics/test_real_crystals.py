@@ -1,7 +1,5 @@
 """Crystals, filters and drying of the tier ``real``: closed forms, an independent integration, balances."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -30,7 +28,6 @@ from chemlab.physics.transfer import add, free_liquid, liquid_volume, pour, stra
 
 MATERIALS = shipped_materials()
 CRUDE = ("benzoic_acid", "salicylic_acid", "NaCl", "silica", "water", "ethanol")
-STANDARD_K = 298.15
 PIXELS = 100
 
 
@@ -72,9 +69,6 @@ def crystals(glass: Glass, position: int, name: str) -> float:
 
 def litres(name: str, mol: float) -> float:
     return mol * MATERIALS[name].molar_mass_g_mol / (1000.0 * MATERIALS[name].density_kg_l)
-
-
-# -- saturation -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -173,9 +167,6 @@ def test_crystals_grow_at_the_scenarios_rate() -> None:
     assert left == pytest.approx(expected, rel=0.02)
 
 
-# -- filter and wash --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
     glass = insulated(*CRUDE)
@@ -219,9 +210,6 @@ def test_a_wash_thins_the_liquor_in_the_cake() -> None:
         expected *= 0.4 * litres("silica", 5.0) / wet
         assert glass.mol(0, "Na+") == pytest.approx(expected, rel=1e-9)
     assert expected < 0.02 * 0.1
-
-
-# -- drying -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_mixture_dries_as_integrated_by_scipy() -> None:
@@ -298,8 +286,7 @@ def test_crystals_under_the_last_trace_of_a_liquid() -> None:
 
 
 def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
-    scenario = load_scenario("wurtz_dodecane")
-    shelf = Shelf(build_chemistry(scenario), 1, 1)
+    shelf = Shelf(build_chemistry(load_scenario("wurtz_dodecane")), 1, 1)
     row, chem = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem()
     names = shelf.layout.materials
     waste, air = np.zeros(len(names)), 30.0
@@ -312,9 +299,6 @@ def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
     laws.dry(row, 1e6, chem, waste)
     assert row[AMOUNTS + names.index("diethyl_ether")] < 1e-9
     assert row[AMOUNTS + names.index("Na")] == 0.5
-
-
-# -- balances ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -338,7 +322,7 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         return sum(float(enthalpy(row, glass.chem)) for row in glass.rows)
 
     def held(mol: np.ndarray, kelvin: float) -> float:
-        return float(mol @ (liquid + known.heat_capacity * (kelvin - STANDARD_K)))
+        return float(mol @ (liquid + known.heat_capacity * (kelvin - 298.15)))
 
     total, books = glass.shelf.amounts[0].sum(axis=0), energy()
     added = np.zeros_like(total)
@@ -347,9 +331,8 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         row, kelvin = glass.rows[0], float(glass.rows[0, TEMPERATURE])
         waste = glass.waste.copy()
         if kind == 0:
-            went, taken = laws.heat(
-                row, glass.rows[1], float(rng.normal(0.0, 40e3)), limits, glass.chem, glass.waste, glass.events
-            )
+            joules = float(rng.normal(0.0, 40e3))
+            went, taken = laws.heat(row, glass.rows[1], joules, limits, glass.chem, glass.waste, glass.events)
             books += went - taken
         elif kind == 1:
             name = str(rng.choice(["water", "ethanol", "benzoic_acid"], p=[0.5, 0.3, 0.2]))

@@ -1,7 +1,5 @@
 """A family with catalysts, equilibria and acids, from its file to what the kernels of the tier ``real`` are given."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

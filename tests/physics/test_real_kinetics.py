@@ -1,7 +1,5 @@
 """Kinetics of the tier ``real``: closed forms, Cantera on random stiff networks, energy and atoms, what is refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -15,11 +13,11 @@ from real_tier import enthalpy_of, filled, give_enthalpy, network, react
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
 
-FloatArray = npt.NDArray[np.float64]
 Step = Mapping[str, Any]
 
 ROOM = 298.15
@@ -53,9 +51,6 @@ def run(
 def litre(species: int, amounts: Sequence[float]) -> dict[str, FloatArray]:
     """The field that makes the contents a litre."""
     return {"molar_volume": np.full(species, 1.0 / sum(amounts))}
-
-
-# -- closed forms ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("tolerance", "allowed"), [(USUAL, 2e-3), (TIGHT, 1e-7)])
@@ -109,8 +104,7 @@ def test_an_equilibrium_follows_van_t_hoff() -> None:
 def test_what_is_absent_holds_a_reverse_reaction_too() -> None:
     """A + B <-> C + D without A and D: nothing."""
     step = {"reactants": {0: 1, 1: 1}, "products": {2: 1, 3: 1}, "k": 1e3, "equilibrium": 1e-3}
-    done = run(network([step], 4), [0.0, 1.0, 1.0, 0.0], 10.0)
-    assert done.amounts.tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert run(network([step], 4), [0.0, 1.0, 1.0, 0.0], 10.0).amounts.tolist() == [0.0, 1.0, 1.0, 0.0]
 
 
 def test_a_catalyst_multiplies_and_is_not_used_up() -> None:
@@ -151,9 +145,6 @@ def test_a_surface_is_used_up_in_time(order: float, time: float) -> None:
     found = run(table, [1.0, 0.0], time, tolerance=USUAL).amounts
     assert found[0] == pytest.approx(max(1.0 - (1.0 - order) * time, 0.0) ** (1.0 / (1.0 - order)), abs=2e-3)
     assert found.sum() == pytest.approx(1.0, rel=1e-12)
-
-
-# -- heat ------------------------------------------------------------------------------------------------------------
 
 
 def test_the_adiabatic_rise_is_the_heat_over_the_heat_capacity_of_the_products() -> None:
@@ -202,9 +193,6 @@ def test_enthalpy_and_temperature_are_each_others_inverse() -> None:
     assert row[TEMPERATURE] == pytest.approx(330.0, rel=1e-13)
 
 
-# -- Cantera ---------------------------------------------------------------------------------------------------------
-
-
 class Problem(NamedTuple):
     """A random stiff network and what is done with it."""
 
@@ -222,8 +210,7 @@ class Problem(NamedTuple):
 
 
 def problem(seed: int) -> Problem:
-    """2 to 6 reactions over 4 to 7 species with k(298 K) from 1e-3 to 1e6, half of them reversible, some catalysed;
-    insulated, jacketed or at constant temperature."""
+    """2 to 6 reactions, 4 to 7 species, k(298 K) 1e-3 to 1e6, half reversible, some catalysed, in any surroundings."""
     rng = np.random.default_rng(seed)
     species, reactions = int(rng.integers(4, 8)), int(rng.integers(2, 7))
     masses = rng.integers(1, 4, species)
@@ -335,9 +322,6 @@ def test_the_robertson_problem_agrees_with_an_implicit_solver() -> None:
         np.testing.assert_allclose(done.amounts, expected, rtol=2e-6)
 
 
-# -- what is conserved, refused, left alone --------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**32 - 1), st.sampled_from([USUAL, (1e-1, 1e-2), (1e-5, 1e-8)]))
 @settings(max_examples=100)
 def test_atoms_and_energy_are_conserved_and_nothing_is_negative(seed: int, tolerance: tuple[float, float]) -> None:
@@ -363,8 +347,7 @@ def test_what_does_not_end_is_given_up_and_changes_nothing() -> None:
         {"reactants": {0: 1, 1: 1}, "products": {1: 2}, "k": 1.0},
         {"reactants": {1: 1}, "products": {2: 1}, "k": 1.0},
     ]
-    table = network(steps, 3)
-    done = run(table, [0.3, 0.5, 0.2], 2e6, jacket=310.0, tolerance=(1e-6, 1e-9))
+    done = run(network(steps, 3), [0.3, 0.5, 0.2], 2e6, jacket=310.0, tolerance=(1e-6, 1e-9))
     assert done == (-1, pytest.approx([0.3, 0.5, 0.2], abs=0.0), ROOM)
 
 

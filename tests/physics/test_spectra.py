@@ -1,7 +1,5 @@
 """Spectra: linear in concentration, clipped to [0, 1], and a linear fit finds every material again."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -41,12 +39,10 @@ def litres_of_liquid(glass: Glassware) -> float:
 @pytest.mark.parametrize("left_out", [0, 1])
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
 def test_absorption_is_concentration_times_peaks(scenario: str, left_out: int) -> None:
-    """A dilute vessel absorbs the sum over materials, an even or odd number, of mol per litre of liquid times their
-    peaks."""
+    """A dilute vessel absorbs the sum over materials of mol per litre of liquid times their peaks."""
     glass = Glassware(scenario, 1)
     there = chemicals(glass.scenario)[left_out:]
-    contents = {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(there)}}
-    found = seen(glass, contents)
+    found = seen(glass, {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(there)}})
     expected = (glass.amounts(0) / litres_of_liquid(glass)) @ peaks(glass.scenario)
     assert expected.max() < 1.0
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)

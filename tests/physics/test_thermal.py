@@ -1,7 +1,5 @@
 """Heat: boiling by hand, energy balance, limits and events; vapour pressure, sealed air, the relief valve."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -26,9 +24,6 @@ def open_air(glass: Glassware, position: int) -> float:
     row = glass.rows[position]
     headspace = max(row[CAPACITY] - glass.volume(position), 0.0)
     return ATMOSPHERE * headspace / (R * row[TEMPERATURE]) * glass.scenario.materials["air"].heat_capacity_j_mol_k
-
-
-# -- boiling by hand ----------------------------------------------------------------------------------------------
 
 
 def still(contents: dict[str, float], capacity: float = 1.2, temperature: float = ROOM) -> Glassware:
@@ -101,8 +96,6 @@ def test_receiver_that_is_full_spills() -> None:
     assert glass.shelf.total()[0, glass.index("diethyl_ether")] == pytest.approx(4.0, rel=1e-14)
 
 
-# -- energy balance -----------------------------------------------------------------------------------------------
-
 LIQUIDS = ["water", "diethyl_ether", "1-chlorohexane", "dodecane", "4,5-diethyloctane"]
 contents = st.dictionaries(st.sampled_from([*LIQUIDS, "NaCl", "Na", "Na+"]), st.floats(1e-4, 3.0), max_size=6)
 
@@ -140,9 +133,6 @@ def test_energy_balance_closes(
     assert min(glass.amounts(0).min(), glass.amounts(1).min(), glass.rows[:, TEMPERATURE].min()) >= 0.0
 
 
-# -- limits and events --------------------------------------------------------------------------------------------
-
-
 def test_cooling_stops_at_the_coolant() -> None:
     """Cooling takes C (T - coolant) at most; a vessel colder than the coolant stays as it is."""
     glass = still({"water": 3.0}, temperature=320.0)
@@ -168,8 +158,7 @@ def test_heating_an_empty_vessel_is_an_event_and_nothing_else() -> None:
 
 
 def test_boiling_dry_is_an_event() -> None:
-    """When the last liquid goes, that is one event; heating what is left dry is another kind. Liquid that is left, or
-    reaching the mantle's temperature, is none."""
+    """The last liquid's going is one event, dry heating another; remaining liquid or the mantle's limit is none."""
     wet = still({"diethyl_ether": 0.5, "dodecane": 1.0})
     wet.heat(0, 1, 1e6, hottest_k=450.0)
     assert (wet.amount(0, "diethyl_ether"), wet.amount(0, "dodecane")) == (0.0, 1.0)
@@ -207,9 +196,6 @@ def test_nothing_gets_hotter_than_the_mantle() -> None:
     hot = still({"dodecane": 1.0}, temperature=470.0)
     assert hot.heat(0, 1, 1000.0, hottest_k=450.0)[0] == pytest.approx(0.0, abs=1e-9)
     assert hot.rows[0, TEMPERATURE] == 470.0  # a mantle that is colder takes nothing away
-
-
-# -- pressure -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", LIQUIDS)
@@ -265,9 +251,6 @@ def test_pressure_is_air_plus_vapor() -> None:
     assert np.isfinite(pressure(brim, glass.chem))
 
 
-# -- the relief valve ---------------------------------------------------------------------------------------------
-
-
 def sealed(contents: dict[str, float], temperature: float, capacity: float) -> Glassware:
     """A vessel sealed at 1.2 L and 298.15 K, then heated and compressed."""
     glass = Glassware("wurtz_dodecane", 1)
@@ -312,8 +295,7 @@ def test_the_relief_valve_lets_out_volatile_matter_only(
     assert 0.0 <= row[AIR] < air
     lost = amounts - glass.amounts(0)
     volatile = [glass.index(n) for n, m in glass.scenario.materials.items() if m.role in ("solvent", "solute")]
-    fixed = np.setdiff1d(np.arange(len(lost)), volatile)
-    assert (lost[fixed] == 0.0).all()
+    assert (lost[np.setdiff1d(np.arange(len(lost)), volatile)] == 0.0).all()
     assert (lost >= 0.0).all()
     np.testing.assert_allclose(glass.waste, lost, rtol=1e-12, atol=1e-15)
     assert glass.events[RELIEF] == pytest.approx(lost.sum(), rel=1e-9, abs=1e-15)

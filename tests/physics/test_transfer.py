@@ -1,7 +1,5 @@
 """Pouring, draining, adding, spilling: equal shares, exact amounts, temperatures by heat capacity, clocks by volume."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import PIXELS, Glassware, four_solvents, molar_volume
@@ -29,9 +27,6 @@ def glass_with(first: dict[str, float], second: dict[str, float], capacity: floa
     return glass
 
 
-# -- volumes ------------------------------------------------------------------------------------------------------
-
-
 def test_volumes_are_mass_over_density() -> None:
     """Everything, the solids, and the rest: litres from the data files' densities; gases count not."""
     glass = Glassware("wurtz_dodecane", 1)
@@ -42,9 +37,6 @@ def test_volumes_are_mass_over_density() -> None:
     assert solid_volume(row, glass.chem) == pytest.approx(solids, rel=1e-14)
     assert liquid_volume(row, glass.chem) == pytest.approx(liquids, rel=1e-12)
     assert volume(row, glass.chem) == pytest.approx(solids + liquids, rel=1e-14)
-
-
-# -- pouring ------------------------------------------------------------------------------------------------------
 
 
 @given(contents, contents, st.floats(0.0, 1.0))
@@ -84,8 +76,7 @@ def test_two_pours_into_an_empty_vessel_are_one(first: dict[str, float], f: floa
 
 
 def test_moving_nothing_changes_nothing() -> None:
-    """A zero fraction, no pixels, or an empty source: no bit of either vessel, the waste or the events changes. Exactly
-    as much as a vessel holds is no spill."""
+    """A zero fraction, no pixels, an empty source: no bit changes. Exactly a vessel's capacity is no spill."""
     brim = glass_with({"water": 1.0}, {})
     brim.rows[1, CAPACITY] = brim.volume(0)
     brim.pour(0, 1, 1.0)
@@ -102,13 +93,8 @@ def test_moving_nothing_changes_nothing() -> None:
             assert (glass.events == 0.0).all()
 
 
-# -- spilling -----------------------------------------------------------------------------------------------------
-
-
 @given(contents, contents, st.floats(0.05, 0.95))
-def test_what_does_not_fit_spills_proportionally(
-    first: dict[str, float], second: dict[str, float], share: float
-) -> None:
+def test_what_does_not_fit_spills_by_shares(first: dict[str, float], second: dict[str, float], share: float) -> None:
     """The receiver ends brim-full; an equal share of everything is in the waste, and its litres are the event."""
     glass = glass_with(first, second)
     together, litres = glass.rows[:, AMOUNTS:].sum(axis=0), glass.volume(0) + glass.volume(1)
@@ -121,9 +107,6 @@ def test_what_does_not_fit_spills_proportionally(
     np.testing.assert_allclose(glass.waste, (1.0 - kept) * together[:m], rtol=1e-10, atol=1e-14)
     assert glass.events[SPILL] == pytest.approx(litres - capacity, rel=1e-9, abs=1e-12)
     assert (glass.rows[0, AMOUNTS:] == 0.0).all()
-
-
-# -- adding -------------------------------------------------------------------------------------------------------
 
 
 def test_adding_mixes_stirs_and_spills() -> None:
@@ -144,9 +127,6 @@ def test_adding_mixes_stirs_and_spills() -> None:
     assert total[glass.index("water")] == pytest.approx(33.0, rel=1e-14)
     assert total[glass.index("hexane")] == pytest.approx(2.0, rel=1e-14)
     assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.known.molar_volume), rel=1e-9)
-
-
-# -- draining -----------------------------------------------------------------------------------------------------
 
 
 @given(contents, st.floats(T_MIX, CLOCK_SETTLED), st.floats(0.0, 100.0))
@@ -179,14 +159,10 @@ def test_draining_takes_what_the_profile_says(first: dict[str, float], clock: fl
     np.testing.assert_allclose(glass.amounts(1), expected, rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(glass.amounts(0) + glass.amounts(1), amounts, rtol=1e-12, atol=1e-15)
     for layer, name in enumerate(glass.layout.solvents):
-        np.testing.assert_allclose(
-            glass.dissolved(1)[:, layer], dissolved[:, layer] * gone.get(name, 0.0), rtol=1e-10, atol=1e-13
-        )
+        expected = dissolved[:, layer] * gone.get(name, 0.0)
+        np.testing.assert_allclose(glass.dissolved(1)[:, layer], expected, rtol=1e-10, atol=1e-13)
     if glass.heat_capacity(1) > 1e-6 * capacity:
         assert glass.rows[1, TEMPERATURE] == pytest.approx(320.0, rel=1e-9)
-
-
-# -- vessels ------------------------------------------------------------------------------------------------------
 
 
 def test_a_clean_vessel_is_empty_and_mixed() -> None:

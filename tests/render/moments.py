@@ -1,20 +1,17 @@
 """Scenes that tests look at: scripted episodes, laboratories of awkward sizes, single benches."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from helpers import FEATURED, slow_but
+from helpers import FEATURED, laboratory, slow_but
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
@@ -30,8 +27,7 @@ _EVERY = 7
 @functools.lru_cache(maxsize=len(scenario_names()))
 def episode(name: str) -> tuple[Scene, ...]:
     """A scripted episode of a shipped scenario: its first scene, some in between, its last."""
-    env = raw_env(name)
-    env.reset(seed=0)
+    env = laboratory(name)
     scenes, turns = [laboratory_scene(env.laboratories)], 0
 
     def watch(turn: PlayedTurn) -> None:
@@ -65,21 +61,18 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
 def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
     """``wurtz_any`` with another shelf and other numbers of benches."""
     data = load_scenario("wurtz_any").model_dump(mode="json")
-    vessel = data["shelf"]["vessel"][0]
-    data["shelf"] = {"slots": slots, "vessel": [vessel] * min(4, slots)}
+    data["shelf"] = {"slots": slots, "vessel": [data["shelf"]["vessel"][0]] * min(4, slots)}
     for key, count in counts.items():
         data["benches"][key]["count"] = count
-    return load_scenario(
-        {**data, "title": "A title that goes on for longer than there is room in a picture" * 2, **changes}
-    )
+    title = "A title that goes on for longer than there is room in a picture" * 2
+    return load_scenario({**data, "title": title, **changes})
 
 
 @functools.lru_cache(maxsize=8)
 def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
     """A laboratory as busy as can be: every bench started, random actions, everything measured."""
     labs = Laboratories(variant(slots, {"rxn": rxn, "ext": ext, "dit": dit}, orders=3))
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     random = np.random.default_rng(0)
     scenes = [laboratory_scene(labs)]
     for turn in range(240):
@@ -108,8 +101,7 @@ def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
 def filled(contents: Mapping[str, float], clock: float | None = None, capacity_l: float = 1.2) -> Laboratories:
     """A laboratory of ``wurtz_any`` with these contents (mol) in slot 0, just as they are: no phases are settled."""
     labs = Laboratories("wurtz_any")
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     row = labs.shelf.fill(0, 0, capacity_l, dict(contents)).row
     if clock is not None:
         row[CLOCK] = row[CLOCK_WAS] = clock

@@ -1,7 +1,5 @@
 """The live pages: watched to the end, played by clicks and by keys, by several visitors, and attacked."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import json
@@ -35,9 +33,8 @@ class Served:
     """A server in a thread of its own, and its laboratories."""
 
     def __init__(self, folder: Path, policies: list[str], tokens: dict[str, str] | None, **options: Any) -> None:
-        self.lives = [
-            live.Live(load_scenario(NAME), policy, 0, "train", folder / str(i)) for i, policy in enumerate(policies)
-        ]
+        spec, own = load_scenario(NAME), enumerate(policies)
+        self.lives = [live.Live(spec, policy, 0, "train", folder / str(i)) for i, policy in own]
         self.port = _free_port("127.0.0.1")
         self.url = f"http://127.0.0.1:{self.port}"
         app = live.live_app(self.lives, policies, tokens, **options)
@@ -74,9 +71,6 @@ def served(
         found.server.should_exit = True
         found.thread.join(20)
         assert not found.thread.is_alive()
-
-
-# -- in the browser ---------------------------------------------------------------------------------------------------
 
 
 def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
@@ -254,16 +248,12 @@ def test_a_double_click_is_one_turn(tmp_path: Path, visitor: Any) -> None:
         assert lab.lives[0].film.turns == turns + 1
 
 
-# -- without one ------------------------------------------------------------------------------------------------------
-
-
 def test_a_seat_is_sent_what_its_agent_observes(tmp_path: Path) -> None:
     """Neither contents nor hidden parameters, although the spectators' page has both."""
     room = live.Live(load_scenario("unlabelled"), "scripted", 0, "train", tmp_path)
     room.step()
     for agent in room.room.seats:
-        shown = json.dumps(room.seat(agent))
-        assert "contents" not in shown
+        assert "contents" not in json.dumps(room.seat(agent))
         assert room.seat(agent)["text"] == room.room.display(agent)
     assert '"hidden":[["' in room.page(0)
     assert '"contents"' in room.page(0)
@@ -359,9 +349,7 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
     assert lab.verdict == ("", "")
 
 
-def test_what_fails_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failures_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """A policy that fails pauses its laboratory, and the server goes on."""
     with served(tmp_path, paused=True) as lab:
         broken, works = lab.lives[0], lab.lives[0].step

@@ -1,7 +1,5 @@
 """The replay page: complete, small, and in a browser what it says it is."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -52,9 +50,6 @@ def unpack(data: dict[str, Any], value: Any) -> Any:
     if value[0] == -1:
         return [unpack(data, item) for item in value[1:]]
     return {key: unpack(data, item) for key, item in zip(data["shapes"][value[0]], value[1:], strict=True)}
-
-
-# -- the data -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("slots", [8, 40])
@@ -251,11 +246,8 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
         transcript.write_bytes(content or b"")
         if content is None:
             os.truncate(transcript, LIMITS.file_bytes + 1)
-        refused("transcript", said, replay_page, read_record(called))
+        refused(said, replay_page, read_record(called))
     transcript.write_text(text)
-
-
-# -- in the browser -------------------------------------------------------------------------------------------
 
 
 def turn_of(path: Path, agent: str, number: int = 8) -> int:
@@ -555,5 +547,4 @@ def test_a_record_as_a_video(episode: Path, tmp_path: Path, monkeypatch: pytest.
     begins = draw(laboratory_scene(Replay(read_record(episode)).laboratories), 480, 270)
     assert np.abs(frames[0] - begins).mean() < np.abs(frames[-1] - begins).mean()
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ValueError, match="needs the program ffmpeg"):
-        animation(read_record(episode), "mp4", frames=2, size=(480, 270))
+    refused("needs the program ffmpeg", animation, read_record(episode), "mp4", frames=2, size=(480, 270))

@@ -1,7 +1,5 @@
 """Scenes say what is in the arrays, in true proportions, and leave the arrays as they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import FEATURED, laboratory, manager, mapping, molar_volume
@@ -28,15 +26,11 @@ WURTZ = load_scenario("wurtz_any")
 
 
 def slot_0(labs: Laboratories) -> VesselPicture:
-    vessel = laboratory_scene(labs).shelf[0].vessel
-    return vessel
+    return laboratory_scene(labs).shelf[0].vessel
 
 
 def litres(name: str, mol: float) -> float:
     return mol * molar_volume(WURTZ, name)
-
-
-# -- proportions --------------------------------------------------------------------------------------------------
 
 
 def test_layers_have_the_volumes_of_what_they_consist_of_densest_first() -> None:
@@ -88,19 +82,14 @@ def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
         for vessel in vessels:
             if vessel is not None:
                 seen += 1
-                total = sum(layer.volume_l for layer in vessel.layers)
-                assert total == pytest.approx(vessel.volume_l, abs=1e-6)
+                assert sum(layer.volume_l for layer in vessel.layers) == pytest.approx(vessel.volume_l, abs=1e-6)
                 assert vessel.capacity_l <= scene.largest_capacity_l
     assert seen > 10
 
 
-# -- what stands where --------------------------------------------------------------------------------------------
-
-
 def test_a_bench_holds_what_was_brought_to_it_and_the_shelf_keeps_places_for_it() -> None:
     labs = filled({"diethyl_ether": 4.0, "dodecane": 0.3})
-    start = labs.actions.encode("start", "ext_0", 0, "dodecane")
-    labs.act(0, labs.members, np.array([start]))
+    labs.act(0, labs.members, np.array([labs.actions.encode("start", "ext_0", 0, "dodecane")]))
     scene = laboratory_scene(labs)
     assert scene.shelf[0].vessel is None
     # Vessels stand in slots 0 and 1 of the scenario; the beakers' places are the next two.
@@ -166,13 +155,9 @@ def test_costs_stock_and_waste_are_the_laboratorys() -> None:
     assert (bottle.mol, bottle.full_mol) == (1.0, 3.0)
 
 
-# -- nothing changes, everything can be told ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_a_look_changes_nothing(name: str) -> None:
-    env = raw_env(name)
-    env.reset(seed=3)
+    env = laboratory(name, 3)
     labs = env.laboratories
 
     def watch(turn: PlayedTurn) -> None:
@@ -186,8 +171,7 @@ def test_a_look_changes_nothing(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "policy"), [("refine", "scripted"), ("wurtz_two_lines", "random")])
 def test_a_camera_that_keeps_pictures_sees_what_a_new_one_sees(name: str, policy: str) -> None:
-    env = raw_env(name)
-    env.reset(seed=0)
+    env = laboratory(name)
     labs = env.laboratories
     camera, equal = Camera(labs.scenario, labs.shelf), list[bool]()
 
@@ -224,12 +208,10 @@ def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
 
     assert len(pictures("rgb_array")) == 1
     assert len(pictures("rgb_array_true")) == 4
-    wurtz = raw_env("wurtz_dodecane")
-    wurtz.reset(seed=0)
+    wurtz = laboratory("wurtz_dodecane")
     scene = laboratory_scene(wurtz.laboratories)
     assert visible_scene(scene, wurtz.scenario) is scene
-    relay = raw_env("relay")
-    relay.reset(seed=0)
+    relay = laboratory("relay")
     scene = laboratory_scene(relay.laboratories)
     assert scene.result == float(relay.laboratories.result(relay.laboratories.members)[0]) < 0.0
     assert np.isnan(visible_scene(scene, relay.scenario).result), "its orders are paid at the end"
@@ -237,8 +219,7 @@ def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
 
 def test_a_bench_shows_nothing_before_its_first_turn() -> None:
     """Starting and recalling a bench is no free look at a vessel's layers and channels."""
-    env = raw_env("unlabelled")
-    env.reset(seed=0)
+    env = laboratory("unlabelled")
     env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
     (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
     assert bench.seen == ()
