@@ -327,7 +327,9 @@ def split(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
             last[a] = gap
         # Steps that shrink by a constant factor allow extrapolation to the limit (Wegstein; Orbach and Crowe 1971).
         factor = along / across if across > 0.0 else 0.0
-        if turn % _FORESIGHT == _FORESIGHT - 1 and 0.0 < factor < _STEADY and worst < 1.0:
+        # Steps that swing without shrinking (salting out feeds back on itself) lead to the point between them.
+        steady = (0.0 < factor < _STEADY and worst < 1.0) or factor < -_STEADY
+        if turn % _FORESIGHT == _FORESIGHT - 1 and steady:
             for a in range(n):
                 last[a] += moved[a] * factor / (1.0 - factor)
                 moved[a] = 0.0
