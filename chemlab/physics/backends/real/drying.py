@@ -12,8 +12,10 @@ from .real_chemistry import MOST_FLUIDS
 from .salts import settle_salts
 from .vapor import write_back
 
-_STEP = 0.1
-"""Maximum share of the liquids evaporated in one step of the integration (second order)."""
+_STEP, _LEAST_STEP = 0.1, 1e-3
+"""Maximum share of the liquids evaporated in one step of the integration (second order), and least such bound."""
+_SLOWED = 0.8
+"""Share of its initial rate below which evaporation may not slow in half a step."""
 _MOST_STEPS = 400
 
 
@@ -27,7 +29,7 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
     liquids = liquids_in(block)
     partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
     n = gather(row, chem, block)
-    temperature, left = row[TEMPERATURE], litres
+    temperature, left, most = row[TEMPERATURE], litres, _STEP
     for _step in range(_MOST_STEPS):
         everything = 0.0
         for a in range(n):
@@ -37,7 +39,7 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
         split(n, temperature, chem, block)
         partial_pressures(n, temperature, chem, block, partial)
         rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)  # mol/L
-        mol = min(_STEP * everything, rate * left)
+        mol, fastest = min(most * everything, rate * left), rate
         for a in range(n):
             before[a] = liquids.mol[a]
         evaporate(n, 0.5 * mol, partial, before, before, block)
@@ -48,6 +50,12 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
         rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)
         if rate <= 0.0:
             break
+        if rate < _SLOWED * fastest and most > _LEAST_STEP:  # a volatile liquid is nearly gone
+            most *= 0.5
+            for a in range(n):
+                liquids.mol[a] = before[a]
+            continue
+        most = min(2.0 * most, _STEP)
         evaporate(n, min(mol, rate * left), partial, before, halfway, block)
         gone = 0.0
         for a in range(n):
