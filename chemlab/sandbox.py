@@ -59,7 +59,7 @@ from .config.reactions import PROTON, ReactionFamily
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends, transfer
-from .physics.chemistry import AMOUNTS, CAPACITY, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
+from .physics.chemistry import AIR, AMOUNTS, CAPACITY, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
@@ -97,7 +97,7 @@ _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
 """Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
 _MOST_SETTLINGS, _SETTLED_MOL, _WARMED_K = 500, 1e-7, 0.01
 """Acids and bases: maximum number of times that they settle, the change in mol below which they are settled, and the
-rise in K above which their heat may boil the contents.
+change of temperature in K above which the contents may boil.
 """
 _LONGEST_HISTORY = 10_000
 """Number of operations that a flask's history keeps."""
@@ -699,7 +699,8 @@ class Flask:
         Args:
             seconds: duration; with the backend ``paper`` in the unit of its rate constants.
             temperature_k: temperature of a thermostat around the closed flask, or of the jacket with
-                ``jacket_w_k``. None: no heat exchange.
+                ``jacket_w_k``. None: no heat exchange. The thermostat's flask is opened at the end: gas leaves, and
+                hotter contents boil in the next :meth:`wait` or with a jacket.
             jacket_w_k: heat transfer in W/K between contents and jacket (``real``).
             condenser_w: cooling power in W of a reflux condenser above the open flask. Vapour that it cannot condense
                 is lost and counts as a safety event. Default: unlimited (``real``).
@@ -724,7 +725,7 @@ class Flask:
         waste = self._shelf.waste[0]
         self._check_steps(backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work))
         self._seconds += seconds
-        self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
+        self._equilibrate(clock=T_MIX - CLOCK_SETTLED, closed=closed)
         if closed and self.vapor_pressure_kpa > self.pressure_kpa:
             _warn(
                 f"at {jacket:g} K the contents would boil (vapour {self.vapor_pressure_kpa:.4g} of "
@@ -746,13 +747,14 @@ class Flask:
         ticks = seconds / self._chemistry.scenario.real.tick_s
         parts = min(max(math.ceil(ticks), 1), _MOST_PARTS)
         waste = self._shelf.waste[0]
+        transfer.turn_clock(self._row, CLOCK_SETTLED - T_MIX)
         for _ in range(parts):
             steps = backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work)
             self._check_steps(steps)
             if steps:
                 backends.partition(self._row, self._chem, self._work)
         self._seconds += seconds
-        self._equilibrate(clock=CLOCK_SETTLED - T_MIX)
+        self._equilibrate()
 
     @_all_or_nothing
     def settle(self) -> None:
@@ -811,7 +813,9 @@ class Flask:
 
     @_all_or_nothing
     def dry(self, litres: float) -> None:
-        """Pass ``litres`` of air over the contents; it removes vapour up to saturation, which is lost.
+        """Pass air over the contents; it leaves saturated with their vapour, which is lost.
+
+        ``litres`` is the volume of the moist air that leaves.
 
         Temperature and solids are unchanged.
         """
@@ -1189,19 +1193,29 @@ class Flask:
                 "time, a jacket, or smaller rate constants"
             )
 
-    def _equilibrate(self, clock: float = 0.0) -> None:
-        """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
+    def _equilibrate(self, clock: float = 0.0, closed: bool = False) -> None:
+        """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills.
+
+        Nothing boils in a ``closed`` flask; its gas leaves when it is opened afterwards.
+        """
         transfer.turn_clock(self._row, float(clock))
+        self._row[AIR] = TRACE_MOL if closed else 0.0  # the kernels know a sealed vessel by its air
         for settled in range(_MOST_SETTLINGS if PROTON in self._shelf.layout.materials else 1):
             before, cooler, waste = self._row[self._columns].copy(), self.temperature_k, self._shelf.waste[0]
             backends.settle_phases(self._row, self._chem, waste, self._events, self._work)
             backends.partition(self._row, self._chem, self._work)
-            # Newly dissolved bases react with acids, whose heat boils water off or dissolves more.
-            if self.temperature_k > cooler + _WARMED_K:
-                around = Surroundings(self.temperature_k, -1.0, 0.0, _RTOL, _ATOL)
+            # Newly dissolved bases react with acids, whose heat boils water off or dissolves more. Ions that boiled dry
+            # form acids again.
+            if abs(self.temperature_k - cooler) > _WARMED_K:
+                around = Surroundings(self.temperature_k, -1.0, -1.0 if closed else 0.0, _RTOL, _ATOL)
                 backends.react(self._row, 0.0, around, self._chem, waste, self._events, self._work)
             if settled and np.abs(self._row[self._columns] - before).max() < _SETTLED_MOL:
                 break
+        if closed:
+            materials = self._chemistry.scenario.materials
+            gas = [materials[name].role == "gas" for name in self._shelf.layout.materials]
+            self._shelf.waste[0] += np.where(gas, self._row[self._columns], 0.0)
+            self._row[self._columns][gas] = self._row[AIR] = 0.0
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
             excess = spilled - self._spilled

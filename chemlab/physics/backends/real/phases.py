@@ -23,7 +23,8 @@ from .vapor import flash_off
 
 _RTOL, _ATOL = 1e-3, 1e-9
 _WARMED_K = 0.01
-"""Rise of temperature in K by acids and bases above which the contents may boil; below it, they were at equilibrium."""
+"""Change of temperature in K by acids and bases above which the contents may boil; below it, they were at equilibrium.
+"""
 
 
 def work_size(chemistry: Any) -> tuple[int, int]:
@@ -92,7 +93,7 @@ def settle(
         cooler = row[TEMPERATURE]
         settle_acids(row, chem, work)
         row[TEMPERATURE] = within_range(row[TEMPERATURE])
-        heated = row[TEMPERATURE] > cooler + _WARMED_K
+        heated = abs(row[TEMPERATURE] - cooler) > _WARMED_K
     if changed:
         set_enthalpy(row, before, chem)
     if settle_with_heat(row, before, chem):
