@@ -98,6 +98,7 @@ def test_heat_of_dissolving_is_that_of_what_has_dissolved() -> None:
         ({"ethanol": 6.0, "water": 4.0, "NaOH": 0.1}, "NaOH"),
         ({"ethanol": 5.0, "water": 5.0, "NaCl": 0.1}, "NaCl"),
         ({"water": 8.0, "diethyl_ether": 2.0, "ethanol": 1.0, "NaCl": 0.5}, "ethanol"),
+        ({"water": 3.0, "methanol": 0.4, "KNO3": 1.0}, "methanol"),
     ],
     ids=lambda value: "+".join(value) if isinstance(value, dict) else value,
 )
@@ -254,12 +255,41 @@ def test_a_sealed_vessel_stays_sealed_after_its_valve_has_opened() -> None:
     assert flask.amounts["water"] == water
 
 
-def test_a_closed_flask_loses_nothing_whatever_is_dissolved() -> None:
-    flask = Flask({"water": 10.0, "NaCl": 2.0})
+@pytest.mark.parametrize("contents", [{"water": 10, "NaCl": 2}, {"water": 1, "sodium_acetate": 0.5, "benzoic_acid": 1}])
+def test_a_closed_flask_loses_nothing_whatever_is_dissolved(contents: dict[str, float]) -> None:
+    flask = Flask(contents)
     with pytest.warns(BoilingWarning):
-        flask.react(60.0, temperature_k=420.0)
-    assert flask.amounts["water"] == pytest.approx(10.0, abs=1e-9)
+        flask.react(60.0, temperature_k=430.0)
     assert sum(flask.waste.values()) == 0.0
+
+
+def test_ions_that_boil_dry_form_acids_that_boil() -> None:
+    flask = Flask({"acetic_acid": 0.28, "water": 2.7, "ethanol": 0.88}, capacity_l=2.0)
+    flask.heat(3e5)
+    assert flask.vapor_pressure_kpa < 103.0
+    assert flask.amounts["acetic_acid"] < 1e-4
+
+
+def test_drying_does_not_depend_on_its_division() -> None:
+    """A trace of ethanol leaves first, and long before the molten naphthalene."""
+    lost = []
+    for calls in (1, 60):
+        flask = Flask({"ethanol": 0.047, "naphthalene": 2.18}, temperature_k=357.0)
+        for _ in range(calls):
+            flask.dry(1000.0 / calls)
+        lost.append(flask.waste["naphthalene"])
+    assert lost[0] == pytest.approx(lost[1], rel=0.01)
+
+
+@pytest.mark.parametrize("calls", [1, 10])
+def test_layers_that_stand_do_not_exchange_what_they_dissolve(calls: int) -> None:
+    flask = Flask({"acetanilide": 0.3, "water": 28.0, "toluene": 1.0})
+    flask.react(3600.0, temperature_k=350.0)
+    water = flask.layers[1].contents["toluene"]
+    for _ in range(calls):
+        flask.wait(3600.0 / calls)
+    assert flask.temperature_k < 335.0
+    assert flask.layers[1].contents["toluene"] == pytest.approx(water)
 
 
 def test_boiling_and_melting_alone_are_changes() -> None:
