@@ -12,6 +12,10 @@ from .real import ScriptedRealDistillation
 
 _HEAVIER_K = 5.0
 """Difference in K to the goal's boiling point above which a material should stay in the pot."""
+_END = 0.9
+"""Temperature of the pot at which the goal fraction ends, as a share of the way from the goal's boiling point to the next
+higher one. The pot, from which the goal is nearly gone, boils close to the latter.
+"""
 _HEEL_L = 0.01
 """Pot volume in litres below which heating stops."""
 _SMALL_KJ = 10.0
@@ -29,10 +33,10 @@ STRIP, COLLECT, DILUTE = range(3)
 class ScriptedFraction(ScriptedRealDistillation):
     """Boils off the lighter materials; distils the goal over if a column can separate it from heavier ones.
 
-    Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal
-    is so dilute in a solvent that the pot boils above this temperature from the start, the fraction ends when the pot
-    nearly boils at the solvent's boiling point, or when the largest possible volume of the goal has distilled over. The
-    same applies to solids that no wash removes. The candidates and their boiling points are public.
+    Before the goal fraction, the receiver is changed. The fraction ends shortly below the next higher boiling point. If
+    the goal is so dilute in a solvent that the pot boils above this temperature from the start, the fraction ends when
+    the pot nearly boils at the solvent's boiling point, or when the largest possible volume of the goal has distilled
+    over. The same applies to solids that no wash removes. The candidates and their boiling points are public.
 
     Args:
         bench: the bench.
@@ -56,7 +60,7 @@ class ScriptedFraction(ScriptedRealDistillation):
             if heavier is None and solids:
                 heavier = boils + 2.0 * _HEAVIER_K
             separable = bench.options.stages > 1 and boils < bench.options.hottest_k
-            self._until_k.append(0.5 * (boils + heavier) if separable and heavier is not None else None)
+            self._until_k.append(boils + _END * (heavier - boils) if separable and heavier is not None else None)
             others = [materials[name].boiling_point_k for name in bench.spec.start.contents if name != goal]
             self._solvent_k.append(others[0] - _LEFT_K if len(others) == 1 else 0.0)
             kilograms = (
