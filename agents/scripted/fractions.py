@@ -34,9 +34,10 @@ class ScriptedFraction(ScriptedRealDistillation):
     """Boils off the lighter materials; distils the goal over if a column can separate it from heavier ones.
 
     Before the goal fraction, the receiver is changed. The fraction ends shortly below the next higher boiling point. If
-    the goal is so dilute in a solvent that the pot boils above this temperature from the start, the fraction ends when
-    the pot nearly boils at the solvent's boiling point, or when the largest possible volume of the goal has distilled
-    over. The same applies to solids that no wash removes. The candidates and their boiling points are public.
+    the goal is so dilute in a solvent that the pot boils more than halfway to this temperature from the start, the
+    fraction ends when the pot nearly boils at the solvent's boiling point, or when the largest possible volume of the
+    goal has distilled over. The same applies to solids that no wash removes. The candidates and their boiling points
+    are public.
 
     Args:
         bench: the bench.
@@ -52,6 +53,7 @@ class ScriptedFraction(ScriptedRealDistillation):
         washed = any(other.kind == "extraction" for other in bench.scenario.benches.values())
         solids = not washed and any(m.role == "solid" for m in materials.values())
         self._until_k: list[float | None] = []
+        self._dilute_k: list[float] = []
         self._solvent_k: list[float] = []
         self._most_l: list[float] = []
         for goal in bench.goals.names:
@@ -61,6 +63,7 @@ class ScriptedFraction(ScriptedRealDistillation):
                 heavier = boils + 2.0 * _HEAVIER_K
             separable = bench.options.stages > 1 and boils < bench.options.hottest_k
             self._until_k.append(boils + _END * (heavier - boils) if separable and heavier is not None else None)
+            self._dilute_k.append(0.5 * (boils + (heavier or boils)))
             others = [materials[name].boiling_point_k for name in bench.spec.start.contents if name != goal]
             self._solvent_k.append(others[0] - _LEFT_K if len(others) == 1 else 0.0)
             kilograms = (
@@ -96,7 +99,8 @@ class ScriptedFraction(ScriptedRealDistillation):
                     continue
             kelvin = self._temperature.unscaled(float(seen[self._slices["temperature"]][0]))
             heat = next((a for q, a in reversed(self._heats) if q <= _SMALL_KJ), self._heats[0][1])
-            if self._phase[member] == COLLECT and kelvin > until and litres > (1.0 - _SOME) * self._full[member]:
+            begun = litres > (1.0 - _SOME) * self._full[member]
+            if self._phase[member] == COLLECT and kelvin > self._dilute_k[goal] and begun:
                 self._phase[member] = DILUTE
             done = kelvin > until
             if self._phase[member] == DILUTE:
