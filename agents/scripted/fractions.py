@@ -13,8 +13,8 @@ from .real import ScriptedRealDistillation
 _HEAVIER_K = 5.0
 """Difference in K to the goal's boiling point above which a material should stay in the pot."""
 _END = 0.9
-"""Temperature of the pot at which the goal fraction ends, as a share of the way from the goal's boiling point to the next
-higher one. The pot, from which the goal is nearly gone, boils close to the latter.
+"""Temperature of the pot at which the goal fraction ends, as a share of the way from the goal's boiling point to the
+next higher one. The pot, from which the goal is nearly gone, boils close to the latter.
 """
 _HEEL_L = 0.01
 """Pot volume in litres below which heating stops."""
