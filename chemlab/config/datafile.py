@@ -37,11 +37,11 @@ _DOTTED = re.compile(
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 _TOML_HINTS = {
-    "Cannot overwrite a value": "; a key is given twice: remove one",
-    "Expected '=' after a key": '; quote keys with other characters than letters, digits, _ and -, as in "Na+" = 1.0',
+    "overwrite a value": "; a key is given twice: remove one",
+    "after a key": '; quote keys with other characters than letters, digits, _ and -, as in "Na+" = 1.0',
     "Expected newline": "; give one key a line, and a point in decimal numbers",
 }
-"""Ends of messages about malformed TOML, by the words of the parser."""
+"""Ends of messages about malformed TOML, by words that tomllib and tomli share."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Terminal control characters, and surrogates, which no file can encode."""
