@@ -10,6 +10,7 @@ from chemlab.config.materials import shipped_materials
 from chemlab.physics import backends as laws
 from chemlab.physics.backends.real.heats import enthalpy
 from chemlab.physics.chemistry import AIR, AMOUNTS, TEMPERATURE
+from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.surroundings import Surroundings
 from chemlab.physics.thermal import seal_vessel
 from chemlab.sandbox import BoilingWarning, Flask
@@ -253,6 +254,15 @@ def test_a_sealed_vessel_stays_sealed_after_its_valve_has_opened() -> None:
     row[AMOUNTS + flask._shelf.layout.index("NaCl")] += 0.5
     laws.settle_phases(row, chem, waste, events, work)
     assert flask.amounts["water"] == water
+
+
+def test_the_relief_valve_lets_out_gas_down_to_its_rating() -> None:
+    flask = Flask({"water": 10.0}, capacity_l=1.0)
+    row, row[AIR], row[TEMPERATURE] = flask._row, 0.2, 380.0
+    laws.vent(row, 500.0, flask._chem, flask._shelf.waste[0], flask._events)
+    gas = row[AIR] * GAS_CONSTANT * row[TEMPERATURE] / (1.0 - flask.volume_l)
+    assert gas + flask.vapor_pressure_kpa == pytest.approx(500.0)
+    assert row[AIR] < 0.2
 
 
 @pytest.mark.parametrize("contents", [{"water": 10, "NaCl": 2}, {"water": 1, "sodium_acetate": 0.5, "benzoic_acid": 1}])
