@@ -438,9 +438,19 @@ class HumanPolicy:
 
 
 def _manager_paths(labs: Laboratories) -> list[list[str]]:
-    """Return the manager's actions in steps, the parts of their words: kind and bench, slot, goal or instrument."""
-    paths = [re.split(r" on | with | for (?=order)|, | (?=slot)", words) for words in labs.actions.action_meanings]
-    prices = dict(zip(labs.instruments.names, labs.instruments.price.tolist(), strict=True))
-    for path in (path for path in paths if path[0] == "measure"):
-        path[2] += f" (price {prices[path[2]]:g})"
+    """Return the manager's actions in steps: kind and bench, slot, goal or instrument, and what else they name."""
+    actions, prices = labs.actions, dict(zip(labs.instruments.names, labs.instruments.price.tolist(), strict=True))
+    paths, arguments = [], actions.arguments
+    for action, words in enumerate(actions.action_meanings):
+        kind, *values = actions.decode(action)
+        named = dict(zip(arguments[str(kind)], values, strict=True))
+        if "slot" not in named:
+            paths.append([words])
+            continue
+        first = f"{kind} {named.pop('bench')}" if "bench" in named else str(kind)
+        steps = [
+            f"{value} (price {prices[str(value)]:g})" if name == "instrument" else f"{name} {value}"
+            for name, value in named.items()
+        ]
+        paths.append([first, *steps])
     return paths
