@@ -273,6 +273,48 @@ def test_a_closed_flask_loses_nothing_whatever_is_dissolved(contents: dict[str, 
     assert sum(flask.waste.values()) == 0.0
 
 
+@pytest.mark.parametrize("calls", [1, 10])
+def test_a_mantle_boils_contents_up_to_its_own_temperature(calls: int) -> None:
+    """What is left boils at 360 K, however long the steps."""
+    flask = Flask({"acetone": 5.0, "water": 5.0})
+    for _ in range(calls):
+        flask.heat(3e5 / calls, hottest_k=360.0)
+    assert flask.vapor_pressure_kpa == pytest.approx(101.3, abs=1.0)
+    assert flask.waste["water"] == pytest.approx(1.24, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("contents", "closed_k", "jacket_k", "watts", "transfer", "near"),
+    [
+        ({"hexane": 1.0, "benzoic_acid": 0.2}, 298.15, 440.0, 1e9, 0.2, 0.0),
+        ({"1-butanol": 5.0}, 330.0, 330.0, 0.0, 50.0, 0.06),
+        ({"water": 10.0}, 390.0, 350.0, 20.0, 50.0, 0.005),
+    ],
+    ids=["crystals", "volatile product", "opened"],
+)
+def test_an_open_flask_boils_in_one_call_as_in_many(
+    contents: dict[str, float],
+    closed_k: float,
+    jacket_k: float,
+    watts: float,
+    transfer: float,
+    near: float,
+    tmp_path: Path,
+) -> None:
+    (file := tmp_path / "ether.toml").write_text(
+        'name = "ether"\n[[reaction]]\nreactants = { 1-butanol = 1 }\nproducts = { diethyl_ether = 1 }\n'
+        'pre_exponential = 0.001\nactivation_energy_j_mol = 0.0\nsource = "made up for a test"\n'
+    )
+    lost = []
+    for calls in (1, 50):
+        flask = Flask(contents, capacity_l=2.0, temperature_k=closed_k, reactions=file)
+        for _ in range(calls):
+            flask.react(1000.0 / calls, jacket_k, jacket_w_k=transfer, condenser_w=watts)
+        assert flask.vapor_pressure_kpa < 103.0
+        lost.append(sum(flask.waste.values()))
+    assert lost[0] == pytest.approx(lost[1], rel=near)
+
+
 def test_ions_that_boil_dry_form_acids_that_boil() -> None:
     flask = Flask({"acetic_acid": 0.28, "water": 2.7, "ethanol": 0.88}, capacity_l=2.0)
     flask.heat(3e5)

@@ -31,6 +31,8 @@ _SHORT = 0.999
 """Share of the remaining heat that a step uses if its own demand is larger."""
 _SAME_IONS = 1e-6
 """Relative change of the ions, by salts that dissolve on warming, below which the boiling point is the same."""
+_MANTLE_K = 0.05
+"""Allowed difference in K between the mantle's temperature and the boiling point at which boiling ends."""
 _TRIFLE = 2e-3
 """Share of the heat that may remain unused at the end by boiling contents."""
 
@@ -95,7 +97,16 @@ def _boil(
             overhead(n, still.trays, still.returned, begun, chem, block, still.ladder, partial)
         evaporate(n, mol, partial, before, halfway, block)
         # The pot follows its boiling point up to the temperature of the heat source.
-        rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
+        room, climb = still.hottest - boiling, 2.0 * (warmer - boiling)
+        if climb > 0.5 * room and attempt < _MOST_ATTEMPTS - 1:
+            climb = bubble_point(n, ambient, warmer, chem, block, partial) - boiling
+            if climb > room + _MANTLE_K:  # less boils off until the boiling point is the mantle's temperature
+                mol *= room / climb
+                for a in range(n):
+                    liquids.mol[a] = before[a]
+                bubble_point(n, ambient, boiling, chem, block, partial)
+                continue
+        rise = max(min(2.0 * (warmer - boiling), room), 0.0)
         spent, warming = 0.0, rise * heat_capacity(row, chem)
         for a in range(n):
             i = int(liquids.who[a])
@@ -231,7 +242,7 @@ def heat(
             count_ions(row, chem, block)
             if abs(liquids.ions[0] - ions) > _SAME_IONS * ions:
                 continue
-        if dry or boiling > hottest:
+        if dry or boiling > hottest - _MANTLE_K:
             break
         needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])
         if left < needed:

@@ -60,15 +60,15 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
 
 
 @inner
-def _far_from_boiling(row: FloatArray, jacket: float, chem: Handle) -> float:
-    """Return the temperature (K) that the contents may reach without boiling, from their pressure there; 0 if they
-    boil.
+def _boils_above(row: FloatArray, jacket: float, chem: Handle) -> float:
+    """Return a temperature (K) up to which the contents do not boil: one just above theirs and the jacket's, from
+    their pressure there, or their boiling point.
     """
     at = row[TEMPERATURE]
     row[TEMPERATURE] = max(at, jacket) + _ABOVE_K
     hot, pressure = row[TEMPERATURE], vapor_pressure(row, chem)
     row[TEMPERATURE] = at
-    return hot if pressure < opened(RealChemistry, chem).ambient_pressure else 0.0
+    return hot if pressure < opened(RealChemistry, chem).ambient_pressure else float(boiling_point(row, chem))
 
 
 @inner
@@ -214,11 +214,13 @@ def react(
     follows = around.condenser >= 0.0 and free
     hottest, boils = math.inf, False
     if follows:
-        hottest = _far_from_boiling(row, around.jacket, chem)
-        if hottest == 0.0:
-            hottest = boiling_point(row, chem)
-            boils = row[TEMPERATURE] >= hottest - _NEARLY_K
+        hottest = _boils_above(row, around.jacket, chem)
+        boils = row[TEMPERATURE] >= hottest - _NEARLY_K
     left, shortest, total, cuts = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, 0
+    if boils and dt > 0.0 and row[TEMPERATURE] > hottest + _ABOVE_K:  # no longer closed
+        pressure = opened(RealChemistry, chem).ambient_pressure
+        events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * shortest, chem, waste)
+        hottest = boiling_point(row, chem)
     # A span is a part of the time in which the contents neither boil nor melt.
     part, span, briefest, state = shortest, dt, dt / _MOST_SPANS, _NOTHING_KNOWN
     fresh, melts, freezes = False, False, False
@@ -253,9 +255,12 @@ def react(
             _copy(kept, row)
             part, fresh = passed, False
             continue
-        drift = 0.0
+        drift, bound = 0.0, hottest
         if steps > 0 or row[TEMPERATURE] != at:
             drift = drifted(row, chem, steady, litres, around.atol, ways, work)
+            if steps > 0 and follows and not held:  # products may boil at a lower temperature
+                bound = _boils_above(row, around.jacket, chem)
+                drift = max(drift, (row[TEMPERATURE] - bound) / _ABOVE_K)
             if steady:
                 row[TEMPERATURE] = jacket  # the thermostat absorbs the heat of settling
             least = _LEAST_SPAN * dt if drift == math.inf else shortest if held else briefest
@@ -286,7 +291,8 @@ def react(
         else:
             fresh = True
             left -= passed
-            stopped, span = passed < span, max(lengthened(span, drift), briefest)
+            stopped, hottest = passed < span or row[TEMPERATURE] >= bound, bound
+            span = max(lengthened(span, drift), briefest)
             if left > 0.0 and stopped and follows:
                 hottest = boiling_point(row, chem)
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
