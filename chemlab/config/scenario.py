@@ -296,7 +296,7 @@ class SafetySpec(DataModel):
 
 
 class RewardSpec(DataModel):
-    """Each agent's reward = local * own + team * the manager's result.
+    """Each agent's reward = local * own + team * the manager's result; a bench's less its own penalties, unscaled.
 
     A scenario gives the numbers, or the name of one of :data:`REWARD_MIXES`.
     """

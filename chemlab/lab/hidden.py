@@ -332,7 +332,8 @@ class Worlds:
 
         Args:
             members: [B] environment indices.
-            world: common world of all, or some of its values; None: each the next of its stream.
+            world: common world of all, or some of its values, which replace drawn ones (a permutation may then have an
+                option twice); None: each the next of its stream.
 
         Raises:
             ValueError: the scenario has no hidden parameters, or not the given ones; nothing has changed.
@@ -420,7 +421,10 @@ class Worlds:
         return values
 
     def device_streams(self, members: IntArray, device: int) -> StreamArray:
-        """Return [B] initial random streams of a bench or instrument in the worlds of ``members`` [B]."""
+        """Return [B] initial random streams of a bench or instrument in the worlds of ``members`` [B].
+
+        The numbers of ``device`` are from 0 on for benches, from -2 down for instruments; -1 is the world's own stream.
+        """
         apart = np.uint64((_APART * (1 + device)) % 2**64)
         return np.asarray(self.table.arrays.number[members, 0] + apart)
 

@@ -706,6 +706,7 @@ class Bench(ABC):
         """Return [B, 3] the self-reported outcomes of ending experiments from 0 to 1: see :data:`.grades.REPORT`."""
         said = self.best(shelf, experiments, members)
         said[:, 0] /= self.grades.largest
+        experiments.stream[members] += _APART  # the noise of observations began with the same numbers
         noisy(members, self.spec.report or 0.0, experiments.stream, said)
         return np.column_stack([said, experiments.steps[members] / self.step_limit])
 

@@ -133,7 +133,7 @@ def begin_drift(
     if not state.trend.shape[1]:
         return
     for i in range(len(instruments.names)):
-        state.drift_stream[members, i] = worlds.device_streams(members, -1 - i)
+        state.drift_stream[members, i] = worlds.device_streams(members, -2 - i)
     _draw_biases(members, table.handle, scenario)
     for i, name in enumerate(instruments.names):
         state.trend[members, i] = worlds.drawn("trend", name, members, state.trend[members, i])

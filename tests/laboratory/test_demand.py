@@ -13,6 +13,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.describe import description, goal_words, order_table
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import RoleText
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_state import CLOSED, RUNNING
 from chemlab.roles.manager_view import terms_channels
@@ -54,6 +55,12 @@ def test_an_order_is_seen_once_it_has_come() -> None:
         env.step(np.full(3, 0.5, dtype=np.float32))
     assert env.laboratories.state.ticks[0] == 3
     assert env.laboratories.busy[0, 0]
+    # In the tick of its deadline, an order is not late.
+    env = laboratory(shop({"within": 7}, {"arrives": 7}))
+    manager(env, "wait")
+    assert "0: 2-chlorohexane now or earlier 1" in RoleText(env.laboratories, 0).text(env.observe("manager_0"))
+    manager(env, "submit", 0, 0)
+    assert env.laboratories.state.paid[0, 0] == 1.0
 
 
 @pytest.mark.parametrize(

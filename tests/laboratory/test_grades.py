@@ -89,11 +89,14 @@ def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
     begin = many.actions.encode("start", "rxn_0", 0, "2-chlorohexane", "quick")
     for action in (begin, many.actions.encode("wait")):
         many.act(0, many.members, np.full(400, action))
+    seen = many.observe(1, many.members)
     for _ in range(4):
         many.act(1, many.members, np.repeat(HOLD[None].astype(np.float64), 400, axis=0))
     amounts = many.state.report[:, 0, 0] - many.shelf.amounts[:, 0, many.shelf.layout.index("2-chlorohexane")] / 4.0
     assert abs(amounts.mean()) < 0.02  # standard error 0.005
     assert 0.08 < amounts.std() < 0.11
+    pressure = seen[:, channel_slices(many.benches[0].channels)["pressure"]]
+    assert abs(np.corrcoef(amounts, pressure[:, 0])[0, 1]) < 0.2  # the gauge's error does not tell the report's
 
 
 def test_single_benches_meet_the_same_grades_and_are_told_the_same() -> None:

@@ -241,6 +241,10 @@ def test_worlds_draw_the_condition_of_benches_and_instruments() -> None:
         assert labs.state.bias[member] == pytest.approx(drawn["bias"][GC])
         assert labs.state.trend[member] == pytest.approx(drawn["trend"][GC])
         assert max(drawn["gain"].values()) < 2.0
+    drift = {"first": 0.05}
+    many = begun(scenario({}, drift, world={"draws": {"gain": DRAWS["gain"] | {"test": []}}}), 400)
+    gains = np.log(many.worlds.table.arrays.values)
+    assert np.abs(np.corrcoef(gains.T, many.state.bias.T)[:3, 3:]).max() < 0.2  # a bias does not tell what was drawn
     bench = RoleEnv(spec, bench="rxn")
     bench.reset(seed=3)
     assert bench.batch.experiments.gain[0, 0] == pytest.approx(0.5 * bench.batch.worlds.values(0)["gain"]["rxn"])
