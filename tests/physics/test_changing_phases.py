@@ -276,7 +276,10 @@ def test_a_closed_flask_loses_nothing_whatever_is_dissolved(contents: dict[str, 
 @pytest.mark.parametrize("calls", [1, 10])
 @pytest.mark.parametrize(
     ("contents", "kelvin", "name", "lost", "near"),
-    [({"acetone": 5.0, "water": 5.0}, 360.0, "water", 1.24, 0.03), ({"toluene": 5, "water": 1}, 370, "toluene", 0.8, 0.1)],
+    [
+        ({"acetone": 5.0, "water": 5.0}, 360.0, "water", 1.24, 0.03),
+        ({"toluene": 5.0, "water": 1.0}, 370.0, "toluene", 0.8, 0.1),
+    ],
     ids=["one liquid", "two layers"],
 )
 def test_a_mantle_boils_contents_up_to_its_own_temperature(
