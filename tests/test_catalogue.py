@@ -158,12 +158,15 @@ def test_azeotropes_are_where_they_were_measured() -> None:
 
 
 def test_what_mixes_with_water_is_one_liquid() -> None:
-    """Those that are not say so."""
+    """Those that are not say so; those that hardly mix have two layers."""
     mixes = ["pyridine", "tetrahydrofuran", "acetonitrile", "tert-butanol", "acetone", "1,4-dioxane", "2-propanol"]
     for name in mixes:
         for mol in (0.5, 1.0, 2.0, 4.0):
             flask = Flask({name: mol, "water": 4.0}, temperature_k=300.0)
             assert [layer.name for layer in flask.layers if layer.volume_l > 0.01] in (["aqueous"], ["organic"]), name
+    for name in ("chlorobenzene", "1,2-dichlorobenzene", "dimethyl_carbonate"):
+        for mol in (1.0, 4.0):
+            assert [layer.name for layer in Flask({name: mol, "water": 4.0}).layers] == ["organic", "aqueous"], name
     for name in ("benzylamine", "butyric_acid", "gamma-butyrolactone"):
         flask = Flask({name: 1.0, "water": 4.0})
         assert len(flask.layers) == 2

@@ -32,7 +32,7 @@ for package in ("rdkit", "chemicals", "thermo", "ugropy"):
 import chemicals  # noqa: E402
 import numpy as np  # noqa: E402
 
-from chemlab.openchem.activity import make_pairs  # noqa: E402
+from chemlab.openchem.activity import make_pairs, quick_pairs  # noqa: E402
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
@@ -491,6 +491,12 @@ def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
     forms = [row["source"] for row in make_pairs(two, known, ideal=True)]
     assert forms == [catalogue_pairs([frozenset(names)])[frozenset(names)].source for names in two]
     assert forms[:2] == ["UNIFAC", "UNIFAC"]
+    pair = ("chlorobenzene", "water")
+    (row,) = quick_pairs([pair], {name: Flask.material(name) for name in pair})
+    assert row.alpha == 0.3  # a larger one fits their ends better, and mixes them
+    pair = ("dimethyl_carbonate", "methanol")
+    (row,) = quick_pairs([pair], {name: Flask.material(name) for name in pair})
+    assert row.form == "modified UNIFAC 2.0"
 
 
 @pytest.fixture

@@ -33,6 +33,10 @@ _SAME_IONS = 1e-6
 """Relative change of the ions, by salts that dissolve on warming, below which the boiling point is the same."""
 _MANTLE_K = 0.05
 """Allowed difference in K between the mantle's temperature and the boiling point at which boiling ends."""
+_JUMP_K, _SHORTEST = 2.0, 0.2
+"""Allowed rise in K of the boiling point in a step of two layers, of which one may boil away; minimum share to which
+an attempt shortens a step.
+"""
 _TRIFLE = 2e-3
 """Share of the heat that may remain unused at the end by boiling contents."""
 
@@ -79,10 +83,12 @@ def _boil(
     liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
-    mol, spent, rise = 0.0, 0.0, 0.0
+    mol, spent, rise, jump = 0.0, 0.0, 0.0, math.inf
     for a in range(n):
         before[a] = liquids.mol[a]
         mol += _STEP * liquids.mol[a]
+        if 0.0 < liquids.share[a] < 1.0:
+            jump = _JUMP_K
     for attempt in range(_MOST_ATTEMPTS):
         price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, block)
         mol = min(mol, left / price)
@@ -98,10 +104,11 @@ def _boil(
         evaporate(n, mol, partial, before, halfway, block)
         # The pot follows its boiling point up to the temperature of the heat source.
         room, climb = still.hottest - boiling, 2.0 * (warmer - boiling)
-        if climb > 0.5 * room and attempt < _MOST_ATTEMPTS - 1:
+        if (climb > 0.5 * room or jump < math.inf) and attempt < _MOST_ATTEMPTS - 1:
             climb = bubble_point(n, ambient, warmer, chem, block, partial) - boiling
-            if climb > room + _MANTLE_K:  # less boils off until the boiling point is the mantle's temperature
-                mol *= room / climb
+            # Less boils off until the boiling point is that of the mantle, or until a layer has boiled away.
+            if climb > min(room + _MANTLE_K, jump):
+                mol *= max(min(room, jump) / climb, _SHORTEST)
                 for a in range(n):
                     liquids.mol[a] = before[a]
                 bubble_point(n, ambient, boiling, chem, block, partial)
@@ -273,6 +280,8 @@ def heat(
             break
         if let_salts_fall_out(row, chem):
             count_ions(row, chem, block)
+    if boiled:
+        write_back(row, n, chem, block)  # boiling has stirred the layers
     condenser += _collect(receiver, n, distilled, chem, block, waste, events)
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
