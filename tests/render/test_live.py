@@ -376,6 +376,7 @@ def test_an_own_scenario_is_played_right(split: str, tmp_path: Path) -> None:
     assert lab.verdict[0] == "ok"
     assert lab.words()[0] == f"over: score {lab.room.score:.3f}; record verified".replace("-", "\u2212")
     assert lab.room.score < 0.0
+    assert "5" * 32 not in (tmp_path / "ledger.jsonl").read_text(), "the salt of a private split"
 
 
 def test_an_episode_too_long_for_a_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
