@@ -214,6 +214,25 @@ def test_hidden_pages_leave_connections_to_others(tmp_path: Path, visitor: Any) 
         assert pages[1].evaluate("count") == 0
 
 
+def test_a_lost_connection_is_opened_again(tmp_path: Path, visitor: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both pages say that it is lost until it is there again; a link to a seat keeps the focus meanwhile."""
+
+    async def once(show: Any) -> Any:
+        yield
+
+    with served(tmp_path, paused=True) as lab:
+        with monkeypatch.context() as patch:
+            patch.setattr(live._Show, "rounds", once)
+            watching, seat = visitor(lab.url), visitor(f"{lab.url}/lab/0/seat/manager_0")
+            watching.get_by_text("take seat").first.focus()
+            for page in (watching, seat):
+                page.get_by_text("The connection is lost").wait_for()
+        lab.lives[0].step()
+        for page in (watching, seat):
+            page.get_by_text("The connection is lost").wait_for(state="detached")
+        assert watching.evaluate("[count, document.activeElement.textContent]") == [1, "take seat"]
+
+
 def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
     """The page of the reaction bench's seat at its first turn, taken by a person, and the turns before."""
     while lab.lives[0].turn != "rxn_0":
