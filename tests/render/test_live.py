@@ -231,6 +231,7 @@ def test_a_lost_connection_is_opened_again(tmp_path: Path, visitor: Any, monkeyp
         for page in (watching, seat):
             page.get_by_text("The connection is lost").wait_for(state="detached")
         assert watching.evaluate("[count, document.activeElement.textContent]") == [1, "take seat"]
+        assert seat.locator("#status").get_attribute("aria-live") == "off", "while policies play"
 
 
 def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
@@ -241,6 +242,7 @@ def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
     lab.order("/lab/0/seat/rxn_0", do="take")
     seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
     seat.get_by_text("It is your turn.").wait_for()
+    assert seat.locator("#status").get_attribute("aria-live") == "polite"
     return seat, turns
 
 
