@@ -292,8 +292,8 @@ class Room:
         written = self._recorder.path if self._recorder.path.exists() else self._recorder.part
         digests = {"record": written.read_bytes(), "transcript": text.encode()}
         ended = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
-        if self._given[0] is not None:
-            ended["split"] = "private"  # the caller's salt may be that of other episodes
+        if self._given[0] is not None or self._split is not None:
+            ended["split"] = ended["split"].partition(":")[0]  # the caller's salt may be that of other episodes
         ended |= {name: hashlib.sha256(content).hexdigest() for name, content in digests.items()}
         ended["seconds"] = round(time.monotonic() - self._began, 3)
         append_entry(self._folder / LEDGER, ended)

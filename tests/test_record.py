@@ -548,7 +548,8 @@ def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
         os.mkfifo(tmp_path / name)
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to("/dev/null")
-    for name in ("pipe", "other", "folder", "link", "."):
+    (tmp_path / "loop").symlink_to("loop")
+    for name in ("pipe", "other", "folder", "link", "loop", "."):
         with pytest.raises(ValueError, match=r"(is a folder|not a regular file); give a file's name"):
             Recorder(tmp_path / name if name != "." else Path(), labs, force=True)
     assert (tmp_path / "pipe").is_fifo()
@@ -612,7 +613,10 @@ def test_a_world_is_its_numbers(split: str, tmp_path: Path) -> None:
     lines = in_a_world(path, None, 3, split)
     assert lines[0]["split"] == split.partition(":")[0]
     assert "5" * 32 not in path.read_text(), "the salt of a private split"
-    assert verify_record(path, split=split if split.startswith("private") else None).status == "ok"
+    assert verify_record(path, split=split).status == "ok"
+    other_split = verify_record(path, split="test")
+    assert (other_split.status, "not test" in other_split.message) == ("foreign", True)
+    refused("must be train", verify_record, path, split="none")
     forged = json.loads(json.dumps(lines))
     forged[0]["split"] = "validation"
     assert verify_record(store(path, forged)).status == "tampered"
@@ -866,8 +870,8 @@ def test_the_commands(tmp_path: Path) -> None:
 
 def test_exit_codes_of_verify(honest: Path, tmp_path: Path) -> None:
     """The worst record decides."""
-    lines, missing = load(honest), tmp_path / "missing"
-    torn = store(tmp_path / "torn", lines[:-1])
+    lines, missing = load(honest), tmp_path / "missing.json"
+    torn = store(tmp_path / "torn.json", lines[:-1])
     put(0, "chemlab", to="9.9")(lines)
     other = store(tmp_path / "other", lines)
     put(0, "chemlab", to=chemlab.__version__)(lines)

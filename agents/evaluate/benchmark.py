@@ -298,7 +298,7 @@ def _verified_records(
             )
         if scenario_hash(recorded_scenario(record)) != scenario_hash(spec):
             raise ValueError(f"policies: {file}: is of another {spec.name} than {spec.origin}: prices or rules differ")
-        proof = verify_record(record, spec, bool(trust()), split=split if ":" in split else None)
+        proof = verify_record(record, spec, bool(trust()), split=split)
         # A record of another version, or of a platform that rounds differently, may still be right. Episodes of seats
         # may end without calls left, or because the agent gave up; they count with the score at that time.
         unfinished = record.torn and record.path not in row.seats

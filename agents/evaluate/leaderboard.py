@@ -27,7 +27,7 @@ from chemlab.config.inherit import shipped_file
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import may_run
 from chemlab.kernels.arrays import FloatArray
-from chemlab.record import RecordError, read_record, recorded_scenario, scenario_hash, verify_record
+from chemlab.record import read_record, recorded_scenario, scenario_hash, verify_record
 
 from .jobs import AUDIT_SEED
 from .scale import Scale, interval
@@ -115,7 +115,7 @@ def leaderboard_lines(path: Path) -> list[Line]:
     try:
         found = validated(_Leaderboard, read_json(path, _FILE_BYTES), str(path))
     except DataError as error:
-        raise DataError(f"{error}; this is not a leaderboard: move it, or name another folder with --out") from error
+        raise DataError(f"{error}; this is not a leaderboard: move it, or name another file or folder") from error
     return [line.model_dump(mode="json", exclude_unset=True) for line in found.lines]
 
 
@@ -400,7 +400,9 @@ def _record_faults(check: LineCheck, line: Line, entry: Line, folder: Path) -> I
     try:
         record = read_record(folder / name)
         header, spec = record.checked_header(), recorded_scenario(record)
-    except (RecordError, DataError) as error:
+        salted = line["split"] if ":" in line["split"] else None
+        proof = verify_record(record, None, may_run(otherwise=False), split=salted)
+    except ValueError as error:  # of the record, its scenario, or the line's split
         yield str(error)
         return
     if (header.seed, spec.name) != (entry["seed"], line["scenario"]) or header.options:
@@ -412,8 +414,6 @@ def _record_faults(check: LineCheck, line: Line, entry: Line, folder: Path) -> I
         yield "is of a scenario with other prices or rules"
     elif shipped_file(spec.name) and own != scenario_hash(load_scenario(spec.name)):
         yield f"is of another {spec.name} than the bundled one: prices or rules differ"
-    private = line["split"] if ":" in line["split"] else None
-    proof = verify_record(record, None, may_run(otherwise=False), split=private)
     check.records += 1
     # A record of another version, or of a platform that rounds differently, may still be right. Episodes of seats may
     # end without calls left; they count with the score at that time.

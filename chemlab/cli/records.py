@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..config.datafile import DataError
 from .options import ForceOption, JsonOption, TrustOption, app, check_result
 from .screen import counting, err, out, plain
 
@@ -41,7 +42,8 @@ def verify(
     scenario: _RequiredOption = None,
     trust: TrustOption = False,
     split: Annotated[
-        str | None, typer.Option(help="private:SALT, to prove that a record's world follows from its seed.")
+        str | None,
+        typer.Option(help="The split that a record must be of; private:SALT also proves that its world is its seed's."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -52,18 +54,22 @@ def verify(
 
     Exit codes: 0 if every record is right; 1 if a value differs from the replay (the first difference is named); 3 if
     the end is missing; 4 if another version or platform made the record; 5 if the file is not a record or cannot be
-    replayed here; 6 if the record is right, but its scenario is neither bundled nor given; 7 if the record is right,
-    but its world was requested instead of drawn. For several records, the first of 1, 5, 4, 6, 7, 3 that occurs.
+    replayed here; 6 if the record is right, but its scenario is neither bundled nor given, or its split is not the
+    given one; 7 if the record is right, but its world was requested instead of drawn. For several records, the first
+    of 1, 5, 4, 6, 7, 3 that occurs.
     """
     from ..record import EXIT_CODES, verify_record
 
     results: list[Status] = []
     for path in files:
-        if path.suffix == ".json":
-            results.append(_verify_leaderboard(path, as_json))
-            continue
         with err.status(plain(path)):
             result = verify_record(path, scenario, trust, split=split)
+        if result.status == "unchecked" and path.suffix == ".json":
+            try:
+                results.append(_verify_leaderboard(path, as_json))
+                continue
+            except DataError as error:
+                result.message += f"; nor a leaderboard: {error}"
         results.append(result.status)
         if as_json:
             typer.echo(json.dumps(vars(result)))

@@ -170,7 +170,7 @@ def check_target(path: Path, force: bool) -> None:
     """
     if path.is_file() and not force:
         raise ValueError(f"{path}: already exists; give another name, or use --force to overwrite it")
-    if path.exists() and not path.is_file():
+    if os.path.lexists(path) and not path.is_file():  # also a link that leads nowhere
         raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'not a regular file'}; give a file's name")
     check_folder(path.parent)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from .. import __version__
+from ..config.draws import Split
 from ..config.inherit import shipped_file
 from ..config.loading import load_scenario
 from ..config.scenario import Scenario
@@ -41,9 +42,9 @@ class Verification:
     Attributes:
         status: ``ok``; ``tampered`` (a value differs from the replay); ``torn`` (truncated: the end is missing, the
             rest is right); ``other`` (made by another version or platform, on which numbers may differ; see
-            ``message``); ``foreign`` (right, but on a scenario that is neither bundled nor the requested one);
-            ``chosen`` (right, but in a world that was requested instead of drawn); ``unchecked`` (not a record, or it
-            cannot be replayed here).
+            ``message``); ``foreign`` (right, but on a scenario that is neither bundled nor the requested one, or of
+            another split than the requested one); ``chosen`` (right, but in a world that was requested instead of
+            drawn); ``unchecked`` (not a record, or it cannot be replayed here).
         message: the result in words.
         turns: number of turns that agree with the replay.
         turn: the first wrong turn; None if there is none, or if the first or the last line is wrong.
@@ -207,11 +208,14 @@ def verify_record(
         scenario: required scenario of the record; default: the bundled scenario of the same name. Parts
             ``file.py:Name`` are looked for beside its file, by default beside the record.
         trust: allow imports of code that the record names.
-        split: ``private:SALT`` for a record of a private split, to prove that its world follows from the seed.
+        split: required split of the record, if its scenario has hidden parameters; ``private:SALT`` also proves that
+            the world of a record of this split follows from the seed.
 
     Raises:
         DataError: ``scenario`` is invalid.
+        ValueError: ``split`` is unknown.
     """
+    public = None if split is None else Split.of(split).public
     name = str(path.path if isinstance(path, Record) else path)
     required = None if scenario is None else load_scenario(scenario)
     try:
@@ -222,7 +226,7 @@ def verify_record(
     other = "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
     try:
         header = record.checked_header()
-        replay = Replay(record, trust, split, required)
+        replay = Replay(record, trust, split if public == "private" else None, required)
     except RecordError as error:
         status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
         messages, where = [_message(error, name)], "header" if isinstance(error, HeaderError) else ""
@@ -235,7 +239,10 @@ def verify_record(
         return Verification(name, status, "; ".join(messages), where=where)
     check = _Check(record, header, replay)
     check.run()
-    return _verdict(check, other, _foreign(replay.laboratories.scenario, required))
+    foreign = _foreign(replay.laboratories.scenario, required)
+    if header.split is not None and public not in (None, header.split):
+        foreign = f"its split is {header.split}, not {public}"
+    return _verdict(check, other, foreign)
 
 
 def _message(error: RecordError, name: str) -> str:

@@ -238,16 +238,18 @@ def test_what_a_record_claims_does_not_prove_a_line(tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text(begun)
     so_far = verify_record(tmp_path / "a.jsonl").score
     line: dict[str, Any] = {"scenario": "unlabelled", "policy": "a", "split": "test"}
-    for text, score, count, what in (
+    for text, score, count, what, *split in (
         (elsewhere, scores[0], 1, ""),
         (elsewhere.replace(f'"score":{scores[0]!r}', '"score":5.0'), 5.0, 1, "other: made by chemlab 9.9"),
         (begun, so_far, 1, "other: made by chemlab 9.9"),
         (texts[1], scores[1], 1, "is of another unlabelled than the bundled one"),
         (texts[0], scores[0], 2, "two are of one episode"),
+        (texts[0].replace('"split":"test"', '"split":"private"', 1), scores[0], 1, "must be train", "private:x"),
     ):
         (tmp_path / "a.jsonl").write_text(text)
         records = [{"file": "a.jsonl", "seed": AUDIT_SEED, "score": score}] * count
-        (tmp_path / "board.json").write_text(json.dumps({"lines": [{**line, "value": score, "records": records}]}))
+        line |= {"value": score, "records": records, "split": (split or ["test"])[0]}
+        (tmp_path / "board.json").write_text(json.dumps({"lines": [line]}))
         (check,) = check_leaderboard(tmp_path / "board.json")
         assert (bool(check.faults), what in "".join(check.faults)) == (bool(what), True), (what, check.faults)
 

@@ -214,6 +214,26 @@ def test_hidden_pages_leave_connections_to_others(tmp_path: Path, visitor: Any) 
         assert pages[1].evaluate("count") == 0
 
 
+def test_a_lost_connection_is_opened_again(tmp_path: Path, visitor: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both pages say that it is lost until it is there again; a link to a seat keeps the focus meanwhile."""
+
+    async def once(show: Any) -> Any:
+        yield
+
+    with served(tmp_path, paused=True) as lab:
+        with monkeypatch.context() as patch:
+            patch.setattr(live._Show, "rounds", once)
+            watching, seat = visitor(lab.url), visitor(f"{lab.url}/lab/0/seat/manager_0")
+            watching.get_by_text("take seat").first.focus()
+            for page in (watching, seat):
+                page.get_by_text("The connection is lost").wait_for()
+        lab.lives[0].step()
+        for page in (watching, seat):
+            page.get_by_text("The connection is lost").wait_for(state="detached")
+        assert watching.evaluate("[count, document.activeElement.textContent]") == [1, "take seat"]
+        assert seat.locator("#status").get_attribute("aria-live") == "off", "while policies play"
+
+
 def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
     """The page of the reaction bench's seat at its first turn, taken by a person, and the turns before."""
     while lab.lives[0].turn != "rxn_0":
@@ -222,6 +242,7 @@ def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
     lab.order("/lab/0/seat/rxn_0", do="take")
     seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
     seat.get_by_text("It is your turn.").wait_for()
+    assert seat.locator("#status").get_attribute("aria-live") == "polite"
     return seat, turns
 
 
@@ -376,6 +397,7 @@ def test_an_own_scenario_is_played_right(split: str, tmp_path: Path) -> None:
     assert lab.verdict[0] == "ok"
     assert lab.words()[0] == f"over: score {lab.room.score:.3f}; record verified".replace("-", "\u2212")
     assert lab.room.score < 0.0
+    assert "5" * 32 not in (tmp_path / "ledger.jsonl").read_text(), "the salt of a private split"
 
 
 def test_an_episode_too_long_for_a_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
