@@ -65,8 +65,6 @@ _ENOUGH = 0.1
 """Score above which the later candidates are tried; and penalty, as an error of ln gamma, of each temperature with a
 spurious second liquid.
 """
-_MISSING = 1.0
-"""Penalty of each temperature at which the middle of the reference's miscibility gap is one liquid."""
 _DILUTE = 0.03
 """Mole fraction below which a mixture counts as highly dilute."""
 _ENDS = 3.0
@@ -147,8 +145,6 @@ class _Problem:
         self.weight = self.kept.astype(np.float64)
         self.weight[:, :, np.minimum(x, 1.0 - x) < _DILUTE] *= tails
         parted = ~one_liquid.reshape(self.count, -1).all(axis=-1)
-        gap = np.cumsum(~one_liquid, axis=-1)
-        self.middle = ~one_liquid & (gap == (gap[..., -1:] + 1) // 2)
         self.weight[parted, :, 0, 0] = self.weight[parted, :, -1, 1] = _ENDS
         self.whole = one_liquid[:, :, 1:] & one_liquid[:, :, :-1]
 
@@ -213,12 +209,10 @@ class _Problem:
         for _ in range(self.grid.passes):
             parameters, made = self.descend(parameters, weight, alpha)
             off = np.where(self.kept, np.abs(made - self.curves), 0.0)
-            one = np.array([stable(curve, self.grid.fractions) for curve in made])
-            spurious = (self.one_liquid & ~one).any(axis=-1) & self.one_liquid.all(axis=-1)
-            missing = (self.middle & one).any(axis=-1)
-            wrong = np.sum(_ENOUGH * spurious + _MISSING * missing, axis=1)
+            second = self.one_liquid & ~np.array([stable(one, self.grid.fractions) for one in made])
+            spurious = np.sum(second.any(axis=-1) & self.one_liquid.all(axis=-1), axis=1)
             error = off.reshape(self.count, -1).max(axis=1)
-            best.improve(_Best(error + wrong, parameters, best.alpha.copy(), error))
+            best.improve(_Best(error + _ENOUGH * spurious, parameters, best.alpha.copy(), error))
             worst = np.maximum((off * weight).reshape(self.count, -1).max(axis=1), 1e-12)
             weight = weight * np.sqrt(0.1 + off * weight / worst[:, None, None, None])
         return best
@@ -227,7 +221,7 @@ class _Problem:
 def fits(log_gamma: Array, grid: Grid) -> tuple[Array, Array, Array]:
     """Fit NRTL parameters that minimize the largest error of ln gamma where the mixture is one liquid.
 
-    If NRTL predicts a wrong number of liquids or large errors at high dilution, both are weighed against each other.
+    If NRTL predicts a spurious second liquid or large errors at high dilution, both are weighed against each other.
 
     Args:
         log_gamma: [N, T, X, 2] at the temperatures and fractions of the grid.
