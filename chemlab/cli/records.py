@@ -48,7 +48,7 @@ def verify(
     """Verify records of episodes: replay their actions on the simulator and compare every number.
 
     For a leaderboard (a file with suffix .json), every entry is recomputed from the scores of its episodes, and its
-    records are replayed. Entries without scores are counted, and only their records are verified.
+    records are replayed.
 
     Exit codes: 0 if every record is right; 1 if a value differs from the replay (the first difference is named); 3 if
     the end is missing; 4 if another version or platform made the record; 5 if the file is not a record or cannot be
