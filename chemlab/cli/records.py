@@ -23,7 +23,6 @@ _COLORS = {
     "chosen": "yellow",
     "unchecked": "red",
 }
-_WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
 _RequiredOption = Annotated[
@@ -72,7 +71,7 @@ def verify(
         out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")
         for note in result.notes:
             out.print(f"   {plain(note)}")
-    raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in results)])
+    raise typer.Exit(next(code for status, code in EXIT_CODES.items() if status in results))
 
 
 def _verify_leaderboard(path: Path, as_json: bool) -> Status:
