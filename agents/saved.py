@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Policy, as_policy
 from chemlab.roles.base import Workplace
 
-from .former_names import split_way
+from .former_names import SAMPLED, split_way
 from .pretrained import Seed, fitted, load_pretrained, pretrained_files, pretrained_names
+from .roles import role_of
 from .runs import Run
 
 
@@ -31,6 +32,28 @@ class Saved:
 
 def _load_exported(name_or_path: str | Path, way: str | None, workplace: Workplace, seed: Seed = None) -> Policy:
     return fitted(load_pretrained(name_or_path).as_played(way, seed), workplace)
+
+
+def _load_learner(
+    folder: Path, algo: str, path: Path, way: str | None, workplace: Workplace, seed: Seed = None
+) -> Policy:
+    """Load a Stable-Baselines3 learner; it is masked only if trained with masks.
+
+    Raises:
+        ValueError: the learner was trained for other spaces, or is to be sampled.
+    """
+    from .learners import load_learner  # Stable-Baselines3 is optional
+
+    model = load_learner(folder, algo)
+    if way == SAMPLED:
+        raise ValueError(f"policy: {path}:{way}: only exported policies are sampled; export it, or leave out :{way}")
+    trained, needed = ((owner.observation_space, owner.action_space) for owner in (model, workplace))
+    if trained != needed:
+        raise ValueError(
+            f"policy: {path}: was trained for {trained[0]} and {trained[1]}; "
+            f"{workplace.key!r} of {workplace.scenario.name} has {needed[0]} and {needed[1]}"
+        )
+    return as_policy(model)
 
 
 def _exported_in(folder: Path, way: str | None) -> dict[str, Callable[..., Policy]]:
@@ -67,7 +90,7 @@ def saved_files(name: str) -> list[Path]:
         return list(pretrained_files(name))
     run, folder = _run_of(path)
     files = [] if folder is None and not path.is_dir() else sorted((folder or path).iterdir())
-    files = [run.config_file, *(file for file in files if file.suffix in (".safetensors", ".json"))]
+    files = [run.config_file, *(file for file in files if file.suffix in (".safetensors", ".json", ".zip"))]
     return [file for file in files if file.is_file()]
 
 
@@ -89,13 +112,20 @@ def find_saved(name: str) -> Saved:
         return Saved({card.bench: partial(_load_exported, path, way)}, card.background or "scripted")
     run, folder = _run_of(path)
     config = run.config()
-    if config is None and path.is_dir() and (exported := _exported_in(path, way)):
-        return Saved(exported)
+    if config is None:
+        exported = _exported_in(path, way) if path.is_dir() else {}
+        if exported:
+            return Saved(exported)
     if config is None or folder is None:
         lacking = run.config_file if config is None else run.checkpoints
         raise ValueError(
             f"policy: {name}: neither a training run nor a checkpoint of one ({lacking} is missing or empty)"
         )
-    if exported := _exported_in(folder, way):
-        return Saved(exported, str(config.get("background") or "scripted"))
+    background = str(config.get("background") or "scripted")
+    exported = _exported_in(folder, way)
+    if exported:
+        return Saved(exported, background)
+    if (folder / "model.zip").exists():
+        role = role_of(str(config.get("bench", "")))
+        return Saved({role: partial(_load_learner, folder, str(config.get("algo")), path, way)}, background)
     raise ValueError(f"policy: {name}: was trained by a version with other learners; train it again")

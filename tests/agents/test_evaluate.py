@@ -13,6 +13,7 @@ from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate.play import Target, bench_policy, evaluate, find_target, play_bench
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
+from chemlab.config.parts import strangers_code
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 
@@ -179,3 +180,25 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.
         refused(r"config\.json is missing", bench_policy, name, bench)
     (tmp_path / "config.json").write_text(CONFIG)
     refused("checkpoints is missing", bench_policy, str(tmp_path), bench)
+
+
+def test_checkpoints_play_as_their_model(tmp_path: Path) -> None:
+    """A run's folder, its checkpoint and the model file are the same policy, the model's own without exploration."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    from chemlab.agents.sb3 import ChemlabVecEnv
+
+    model = sb3.PPO("MlpPolicy", ChemlabVecEnv(1, bench="dit"), seed=1, n_steps=8, batch_size=8, device="cpu")
+    folder = tmp_path / "checkpoints" / "best-8"
+    folder.mkdir(parents=True)
+    model.save(folder / "model.zip")
+    (tmp_path / "config.json").write_text(CONFIG)
+    env = Target(load_scenario("wurtz_dodecane"), "dit").environment(3)
+    seen = env.reset(seed=0)[0]
+    expected = model.predict(seen, deterministic=True)[0]
+    for path in (tmp_path, folder, folder / "model.zip"):
+        with strangers_code(True):  # the model has not been sealed
+            policy = bench_policy(str(path), env.bench)
+        found = policy.act(seen, env.action_masks().astype(np.int8), np.zeros(3, dtype=np.int64), np.arange(3))
+        np.testing.assert_array_equal(found, expected)
+    with strangers_code(True), pytest.raises(ValueError, match="was trained for"):
+        bench_policy(str(tmp_path), RoleEnv("wurtz_dodecane", bench="ext").bench)

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 pytest.importorskip("stable_baselines3")
 
 from chemlab.agents.runs import Run
+from chemlab.agents.saved import find_saved
 from chemlab.agents.seals import read_sealed, seal_file
 from chemlab.agents.train.arguments import training_arguments
 from chemlab.agents.train.learn import train
@@ -108,7 +109,7 @@ def no_end(run: Path) -> Path:
     return run
 
 
-WEIGHTS: dict[str, Any] = {
+PICKLES = {
     "evaluate": lambda at: ["evaluate", SCENARIO, "--policy", at / "manager", "--episodes", 1, "--goal", "dodecane"],
     "evaluate a checkpoint": lambda at: [
         *("evaluate", SCENARIO, "--policy", next((at / "manager").rglob("best-*")) / "model.zip"),
@@ -124,19 +125,35 @@ WEIGHTS: dict[str, Any] = {
         *("train", SCENARIO, *LEADER.flags(), "--out", at / "new"),
         *("--begin-from", f"manager={at / 'manager'}"),
     ],
+}
+"""Commands that play or go on from what the folder of a single agent's run holds."""
+WEIGHTS: dict[str, Any] = {
     "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
     "plan": lambda at: ["audit", "plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
     "begin, joint": lambda at: ["train", SCENARIO, *JOINT.flags(), "--begin-from", at / "joint", "--out", at / "new"],
 }
-"""Commands that play, export or go on from what the folder of a run holds."""
+"""The same of weights alone: of roles that have learned together, and of what is exported."""
 
 
 @pytest.mark.usefixtures("hasty")
-@pytest.mark.parametrize("way", WEIGHTS)
+@pytest.mark.parametrize("way", [*PICKLES, *WEIGHTS])
 def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> None:
-    command(*WEIGHTS[way](bait))
+    command(*(PICKLES | WEIGHTS)[way](bait))
     assert not (bait / "ran").exists()
+
+
+@pytest.mark.parametrize("way", PICKLES)
+def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
+    for name in ("manager", "joint"):
+        without_weights(bait / name)
+    said = command(*PICKLES[way](bait), code=2)
+    assert "was changed, or was written by another user" in said
+    assert "--trust" in said
+    assert not (bait / "ran").exists()
+    # It is the refusal that keeps it from running.
+    chemlab_trusting(PICKLES[way](bait))
+    assert (bait / "ran").exists()
 
 
 @pytest.mark.parametrize("way", WEIGHTS)
@@ -170,15 +187,17 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
         "export": ["export", tmp_path / "run", "--out", tmp_path / "mine", "--trust"],
     }
     weights = [f"{best}/{role}.json", f"{best}/{role}.safetensors"]
-    for file, task in (
-        ("config.json", "run"),
-        (weights[0], "run"),
-        (weights[1], "evaluate"),
-        (f"{best}/model.zip", "export"),
-        (f"{best}/model.zip.seal", "export"),
+    for file, task, gone in (
+        ("config.json", "run", []),
+        (weights[0], "run", []),
+        (weights[1], "evaluate", []),
+        (f"{best}/model.zip", "run", weights),
+        (f"{best}/model.zip.seal", "run", weights),
+        (f"{best}/model.zip", "export", []),
     ):
         shutil.copytree(run, tmp_path / "run")
-        (tmp_path / "run" / file).unlink()
+        for name in (*gone, file):
+            (tmp_path / "run" / name).unlink()
         if kind == "pipe":
             os.mkfifo(tmp_path / "run" / file)
         else:
@@ -200,9 +219,13 @@ def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None
 
 
 def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path) -> None:
+    without_weights(bait / "manager")
     own = bait / "pretty"
-    shutil.copytree(strangers / "manager", own)
+    shutil.copytree(strangers / "manager", own)  # weights that play, and a bench's pickle in the background
     config = json.loads((own / "config.json").read_text())
+    (bait / "manager" / "config.json").write_text(json.dumps({**config, "bench": "rxn"}))
+    (own / "config.json").write_text(json.dumps({**config, "background": str(bait / "manager")}))
+    assert "--trust" in command("run", SCENARIO, "--policy", own, "--json", code=2)
     # A background that leads back to itself ends.
     (own / "config.json").write_text(json.dumps({**config, "background": str(own)}))
     assert "in the background" in command("run", SCENARIO, "--policy", own, "--json", code=2)
@@ -308,5 +331,7 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, mon
 
 def test_own_runs_need_no_flag(tmp_path: Path) -> None:
     train(MANAGER, tmp_path / "manager")
-    command("train", SCENARIO, *MANAGER.flags(), "--out", no_end(tmp_path / "manager"))
+    without_weights(tmp_path / "manager")
+    assert list(find_saved(str(tmp_path / "manager")).load) == ["manager"]
+    command("run", SCENARIO, "--policy", tmp_path / "manager", "--json")
     assert Run(tmp_path / "manager").result() is not None
