@@ -701,7 +701,11 @@ class Laboratories:
     def events(self, agent: int, member: int = 0) -> dict[str, float]:
         """Safety events of the agent's last action by kind, without zeros."""
         row = self.roles[agent].events[member].tolist()
-        return {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
+        return (
+            {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
+            if any(row)
+            else {}
+        )
 
     def total(self) -> FloatArray:
         """Return [N, M] mol in vessels, bottles, waste and delivered vessels, which only reactions change."""
