@@ -12,10 +12,6 @@ _FORMER = {
     "heuristic": "scripted",
     "hasty": "scripted:unsafe",
     "direct": "scripted:no-extraction",
-    "forgetful": "scripted:memoryless",
-    "serial": "scripted:fifo",
-    "pretrained-alone": "pretrained-isolated",
-    "clairvoyant": "oracle",
 }
 _NAMED = re.compile(rf"(?<![^,=])({'|'.join(_FORMER)})(?![^,@])")
 _noticed: set[str] = set()

@@ -53,6 +53,7 @@ def test_runs_that_differ_in_their_seeds_are_one_row(monkeypatch: pytest.MonkeyP
     import baselines
 
     told = {"scenario": "runaway", "split": "test", "low": 0.0, "high": 1.0, "runs": 1, "score": 0.5}
+    told |= {"scenario_hash": "", "scores": [0.5], "scale": {"random": 0.0, "oracle": 1.0}}
     names = {f"runaway-manager/from-nothing/seed-{seed} (best)": value for seed, value in enumerate((0.2, 0.4, 0.9))}
     names |= {"runaway-rxn/benches/seed-0 (best)": 0.7, "random": 0.0, "scripted": 0.3, "oracle": 1.0}
     lines = [{**told, "policy": policy, "value": value} for policy, value in names.items()]

@@ -2,8 +2,7 @@
 
 A line has ``scores`` (by episode, null if one was not played) and ``train_scores`` (with the same seeds, in worlds of
 ``train``). Mean, normalized score and intervals follow from them; :func:`check_leaderboard` recomputes these numbers
-(``chemlab verify leaderboard.json``) and replays the records. Lines of earlier versions have no scores, so that only
-their records can be verified.
+(``chemlab verify leaderboard.json``) and replays the records.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import validated
@@ -31,6 +30,9 @@ from chemlab.record import read_record, recorded_scenario, scenario_hash, verify
 
 from .jobs import AUDIT_SEED
 from .scale import Scale, interval
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 _FILE_BYTES = 50_000_000
 _TOLERANCE = 1e-9
@@ -81,7 +83,7 @@ class _Line(_Estimate):
     policy: str
     split: str
     value: float | None
-    scenario_hash: str | None = None
+    scenario_hash: str
     score: _Score | None = None
     episodes: int | None = None
     runs: int | None = None
@@ -94,6 +96,12 @@ class _Line(_Estimate):
     train_scores: list[_Score] | None = None
     records: list[_Entry] = []
     seats: dict[str, str | int | float | None] | None = None
+
+    @model_validator(mode="after")
+    def _check_scores(self) -> Self:
+        if self.value is not None and not (self.scores and self.scale and self.score is not None):
+            raise ValueError("value: needs the scores that it follows from, and score and scale; restore the line")
+        return self
 
 
 class _Leaderboard(BaseModel):
@@ -190,73 +198,34 @@ def _key(line: Mapping[str, Any], policy: str | None = None) -> tuple[str, str, 
 def _merged(stored: Sequence[Line], new: Sequence[Line]) -> list[Line]:
     """Merge stored and new lines; new lines replace those of the same row.
 
-    All lines of the same episodes get the scale with the highest end: the oracle's score may differ between commands.
+    The oracle's score may differ between commands. Its line keeps the higher score of each episode, and all lines of
+    these episodes get its scale.
     """
     lines = {_key(line): line for line in stored}
     for line in new:
-        old = lines.get(_key(line), line)
-        foreseen = line["policy"] == "oracle" and _episodes(old) == _episodes(line)
-        lines[_key(line)] = _best(old, line) if foreseen else line
-    ends: dict[Any, float] = {}
-    for line in lines.values():
-        ends[_episodes(line)] = max(_end(line), ends.get(_episodes(line), -np.inf))
-    rescaled = {key: _rescaled(line, ends[_episodes(line)]) for key, line in lines.items()}
-    return [line | (_recomputed(line, rescaled) or {}) for line in rescaled.values()]
-
-
-def _best(old: Line, line: Line) -> Line:
-    """Return the oracle's line with the higher score in each episode, or the higher line if one has no scores."""
-    scores = _scores(old, line) if line.get("scores") else None
-    if scores is None:
-        return old if _end(old) > _end(line) else line
-    scores = np.fmax(scores, line["scores"])
-    mean = float(scores.mean())
-    return line | {"scores": scores.tolist(), "score": mean, "scale": {**line["scale"], "oracle": mean}}
-
-
-def _episodes(line: Line) -> tuple[Any, ...]:
-    """Return a key of a line's episodes; the mean score of random play identifies them."""
-    return line["scenario"], line["split"], line.get("scenario_hash"), (line.get("scale") or {}).get("random")
-
-
-def _end(line: Line) -> float:
-    """Return the raw score of 1 on a line's scale; minus infinity for an empty cell."""
-    return float(line["scale"]["oracle"]) if line.get("scale") else -np.inf
-
-
-def _rescaled(line: Line, end: float) -> Line:
-    """Return a line on the scale whose 1 is the raw score ``end``; its 0 is unchanged."""
-    if _end(line) in (end, -np.inf) or _end(line) <= line["scale"]["random"]:
-        return line
-    zero = line["scale"]["random"]
-    factor = (_end(line) - zero) / (end - zero)
-
-    def scaled(estimate: Line) -> Line:
-        scalable = [key for key in ("value", "low", "high") if estimate.get(key) is not None]
-        return estimate | {key: estimate[key] * factor for key in scalable}
-
-    estimates = {key: scaled(line[key]) for key in _ESTIMATES if line.get(key)}
-    return scaled(line) | estimates | {"scale": {"random": zero, "oracle": end}}
+        old = _scores(lines.get(_key(line)), line) if line["policy"] == "oracle" else None
+        lines[_key(line)] = line if old is None else line | {"scores": np.fmax(old, line["scores"]).tolist()}
+    return [line | (_recomputed(line, lines) or {}) for line in lines.values()]
 
 
 def _scores(line: Line | None, like: Line) -> FloatArray | None:
     """Return a line's scores, if they are of the same number of episodes of the same scenario as those of another."""
-    if line is None or not line.get("scores") or line.get("scenario_hash") != like.get("scenario_hash"):
+    if line is None or not line.get("scores") or line["scenario_hash"] != like["scenario_hash"]:
         return None
     scores = np.array(line["scores"], dtype=np.float64)  # null becomes NaN
-    return scores if len(scores) == len(like["scores"]) else None
+    return scores if len(scores) == len(like.get("scores") or ()) else None
 
 
 def _recomputed(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[str, Any] | None:
-    """Compute a line's statistics from the scores of all lines; None if scores are missing or of other episodes."""
-    if not line.get("scores") or line.get("value") is None:
+    """Compute a line's statistics from the scores of all lines; None for an empty line, or without a scale for it."""
+    if line["value"] is None:
         return None
     random, oracle = (_scores(lines.get(_key(line, name)), line) for name in ("random", "oracle"))
     scores = np.array(line["scores"], dtype=np.float64)
     played = np.isfinite(scores)
     if random is None or oracle is None or not played.any() or not np.isfinite([random[played], oracle[played]]).all():
         return None
-    if not _equal((line.get("scale") or {}).get("random"), float(random[played].mean())):
+    if not _equal(line["scale"]["random"], float(random[played].mean())):
         return None
     other = _scores(lines.get(_key(line, line.get("baseline") or "")), line) if line.get("over_baseline") else None
     train_scores = line.get("train_scores") or []
@@ -271,8 +240,8 @@ class LineCheck:
 
     Attributes:
         scenario, policy, split: those of the line.
-        proof: ``all`` (score, scale and intervals follow from stored scores), ``score`` (only the mean score does),
-            ``none`` (the line has no scores) or ``empty`` (the cell is empty).
+        proof: ``all`` (score, scale and intervals follow from stored scores), ``score`` (only the mean score does) or
+            ``empty`` (the cell is empty).
         records: number of episodes that were replayed.
         faults: descriptions of numbers and records that are wrong.
     """
@@ -301,7 +270,7 @@ def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = No
     by_key = {_key(line): line for line in lines}
     found = []
     for line in lines:
-        check = LineCheck(*_key(line), proof="none")
+        check = LineCheck(*_key(line), proof="score")
         if by_key[_key(line)] is not line:
             check.faults.append("there are two lines of this row")
         _check_numbers(check, line, by_key)
@@ -317,41 +286,31 @@ def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = No
 
 
 def summary(checks: Sequence[LineCheck]) -> str:
-    """Return a sentence with the number of lines of each kind, and the scenarios of lines without scores."""
+    """Return a sentence with the number of lines of each kind."""
     kinds = Counter(check.proof for check in checks)
-    parts = [
-        f"{len(checks)} lines",
-        f"{kinds['all']} follow from their scores",
-        f"{kinds['score']} in their mean alone (the scale's end or an interval is not proven)",
-        f"{kinds['empty']} are empty",
-        f"{sum(check.records for check in checks)} records played again",
-    ]
-    without = Counter(check.scenario for check in checks if check.proof == "none")
-    if without:
-        where = ", ".join(f"{scenario} {count}" for scenario, count in sorted(without.items()))
-        parts.append(f"{kinds['none']} lines have no scores, so nothing but their records is proven ({where})")
-    return "; ".join(parts)
+    return (
+        f"{len(checks)} lines; {kinds['all']} follow from their scores; {kinds['score']} in their mean alone (the "
+        f"scale's end or an interval is not proven); {kinds['empty']} are empty; "
+        f"{sum(check.records for check in checks)} records played again"
+    )
 
 
 def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, str], Line]) -> None:
     """Compare a line's numbers with recomputed ones; set the proof and append faults."""
-    if line.get("value") is None:
+    if line["value"] is None:
         check.proof = "empty"
         return
-    scale = line.get("scale")
-    if scale and line.get("score") is not None and scale["oracle"] > scale["random"]:
+    scale = line["scale"]
+    if scale["oracle"] > scale["random"]:
         value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
         _compare(check, "value", line["value"], value)
-    elif line.get("scores"):
-        check.faults.append(f"value: is {line['value']}, but the line has no score or no valid scale")
-    if not line.get("scores"):
-        return
+    else:
+        check.faults.append(f"value: is {line['value']}, but the line has no valid scale")
     played = [score for score in line["scores"] if score is not None]
-    check.proof = "score"
     _compare(check, "episodes", line.get("episodes"), len(played))
-    _compare(check, "score", line.get("score"), math.fsum(played) / max(len(played), 1))
+    _compare(check, "score", line["score"], math.fsum(played) / max(len(played), 1))
     random = _scores(lines.get(_key(line, "random")), line)
-    if random is not None and scale:
+    if random is not None:
         rows = [score is not None for score in line["scores"]]
         _compare(check, "scale.random", scale["random"], float(random[rows].mean()))
     oracle = _scores(lines.get(_key(line, "oracle")), line)
@@ -363,7 +322,7 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
     check.proof = "all"
     for key in ("low", "high"):
         _compare(check, key, line.get(key), computed[key])
-    _compare(check, "scale.oracle", (scale or {}).get("oracle"), computed["scale"]["oracle"])
+    _compare(check, "scale.oracle", scale["oracle"], computed["scale"]["oracle"])
     for name in _ESTIMATES:
         if not line.get(name):
             continue
@@ -389,14 +348,13 @@ def _compare(check: LineCheck, what: str, stored: float | None, computed: float 
 def _record_faults(check: LineCheck, line: Line, entry: Line, folder: Path) -> Iterator[str]:
     """Replay a record of a line, and yield its faults."""
     name, number = entry["file"], entry["seed"] - AUDIT_SEED
-    scores = line.get("scores")
+    scores = line.get("scores") or ()
     if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
         yield "is not below the leaderboard's folder"
         return
-    if scores is not None:
-        stored = scores[number] if 0 <= number < len(scores) else None
-        if stored is None or not _equal(stored, entry.get("score")):
-            yield f"its score is {entry.get('score')}, and that of the line's episode {entry['seed']} is {stored}"
+    stored = scores[number] if 0 <= number < len(scores) else None
+    if stored is None or not _equal(stored, entry.get("score")):
+        yield f"its score is {entry.get('score')}, and that of the line's episode {entry['seed']} is {stored}"
     try:
         record = read_record(folder / name)
         header, spec = record.checked_header(), recorded_scenario(record)
@@ -410,7 +368,7 @@ def _record_faults(check: LineCheck, line: Line, entry: Line, folder: Path) -> I
     if header.split not in (None, line["split"].partition(":")[0]):
         yield f"is of the split {header.split}"
     own = scenario_hash(spec)
-    if line.get("scenario_hash") not in (None, own):
+    if line["scenario_hash"] != own:
         yield "is of a scenario with other prices or rules"
     elif shipped_file(spec.name) and own != scenario_hash(load_scenario(spec.name)):
         yield f"is of another {spec.name} than the bundled one: prices or rules differ"

@@ -126,14 +126,6 @@ class Cell:
             [[(run.finished.scripted_by_goal or {}).get(goal, np.nan) for goal in self.goals] for run in self.runs]
         )
 
-    def best_ratios(self) -> dict[str, float]:
-        """Return :meth:`relative` of the best run, by goal."""
-        return dict(zip(self.goals, self.relative()[self.runs.index(self.best)].tolist(), strict=True))
-
-    def mean_ratios(self) -> dict[str, float]:
-        """Return the mean over runs of :meth:`relative`, by goal."""
-        return dict(zip(self.goals, self.relative().mean(axis=0).tolist(), strict=True))
-
     def means(self) -> FloatArray:
         """Return [runs] means over goals of each run's best policy."""
         return np.array([run.finished.mean for run in self.runs])
@@ -142,11 +134,6 @@ class Cell:
         """Return the mean return of the scripted policy over the evaluations of all runs; None if there is none."""
         known = [mean for run in self.runs if (mean := run.finished.scripted_mean) is not None]
         return float(np.mean(known)) if known else None
-
-    def training_ends(self) -> FloatArray:
-        """Return the mean training return in the last tenth of each run's curve, for runs with a curve."""
-        curves = [run.curve for run in self.runs if len(run.curve)]
-        return np.array([c[c[:, 0] >= 0.9 * c[-1, 0], 1].mean() for c in curves])
 
 
 Cells = dict[str, dict[str, Cell]]

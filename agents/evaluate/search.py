@@ -22,6 +22,7 @@ from chemlab.roles.manager_actions import ManagerActions
 from ..former_names import current_name
 from ..open_loop import Context, Plan, Playback, all_contexts
 from ..policies import make_policies
+from ..scripted.belief import noiseless
 from .moves import Moves, Tried
 from .plans import (
     SEARCH_SEED,
@@ -249,7 +250,7 @@ class Search:
         initial = list(known)
         if donors:
             initial += self._donors([*scripted_names(self._scenario), *_BUNDLED])
-            initial += self._donors(["scripted"], _with_exact_instruments(self._scenario))
+            initial += self._donors(["scripted"], noiseless(self._scenario, price=0.0))
         self._try(initial)
         best = -np.inf
         while self.tried < self._budget and self.best[0].score > best + _SAME:
@@ -312,16 +313,6 @@ class Search:
         best = best if few is final else self._play(final, [best.team])[0]
         best = best if best.score >= complete.score - _SAME else complete
         return FoundPlan(self._context, TeamPlan(best.team.plan), best.score)
-
-
-def _with_exact_instruments(scenario: Scenario) -> Scenario:
-    """Return the scenario with exact instruments that are free of charge."""
-    exact = {"price": 0.0, "noise": 0.0}
-    instruments = {
-        name: spec.model_copy(update={key: value for key, value in exact.items() if hasattr(spec, key)})
-        for name, spec in scenario.instruments.items()
-    }
-    return scenario.model_copy(update={"instruments": instruments})
 
 
 def _ranked(tried: Sequence[Tried], most: int) -> list[Tried]:

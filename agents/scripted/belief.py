@@ -169,9 +169,9 @@ def run_experiment(
     Players(laboratories, policies).play_on(members)
 
 
-def noiseless(scenario: Scenario) -> Scenario:
-    """Return the scenario with instruments without noise."""
-    exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
+def noiseless(scenario: Scenario, **others: float) -> Scenario:
+    """Return the scenario with instruments without noise, and with other fields of all instruments as given."""
+    exact = {name: spec.model_copy(update={"noise": 0.0, **others}) for name, spec in scenario.instruments.items()}
     return scenario.model_copy(update={"instruments": exact})
 
 

@@ -541,10 +541,6 @@ OLD_NAMES: dict[str, str] = {
     "imitate": "bc",
     "imitate_steps": "bc_steps",
     "imitate_rounds": "bc_rounds",
-    "imitate_spread": "bc_std",
-    "advice": "hints",
-    "critic": "algo",
-    "env_id": "scenario",
 }
 """Names of arguments before 0.3; accepted for one release."""
 
@@ -599,14 +595,9 @@ def _with_current_names(values: Mapping[str, Any], where: str) -> dict[str, Any]
     """Return the given arguments, with former names replaced by the current ones; a notice on stderr names each."""
     given = {name: value for name, value in values.items() if value is not None}
     for old, new in OLD_NAMES.items():
-        if old not in given or old == "env_id":
-            continue
-        value = given.pop(old)
-        print(f"{where}: {old} is now called {new}; the old name ends with this release", file=sys.stderr)
-        if old == "critic":
-            given[new] = {"own": "ippo", "state": "mappo"}.get(str(value), value)
-        else:
-            given.setdefault(new, value)
+        if old in given:
+            print(f"{where}: {old} is now called {new}; the old name ends with this release", file=sys.stderr)
+            given.setdefault(new, given.pop(old))
     for name in ("background", "bc", "hints"):
         if isinstance(given.get(name), str):
             given[name] = current_name(given[name])

@@ -197,9 +197,6 @@ class Team(Trainee):
     def take(self, folder: Path) -> None:
         self._taken = {role: load_pretrained(folder / role) for role in self.learning}
 
-    def close(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`; there is nothing to release."""
-
     def _policy(self, role: str, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
         """Return a role's policy with its card, for the scenario's complete observation, to be sampled or greedy."""
         workplace, manager = self._workplaces[role], role == MANAGER_ROLE

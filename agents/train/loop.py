@@ -134,8 +134,7 @@ class Trainee(ABC):
     def take(self, folder: Path) -> None:
         """Load the policies of a checkpoint, which :meth:`scores` evaluates from now on."""
 
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - nothing to release by default
         """Release resources of training after the final evaluation."""
 
     def described(self, scenario: str, bench: str, goals: list[str], fingerprint: str) -> RunConfig:

@@ -131,21 +131,16 @@ class Agent(Trainee):
             progress = Progress.of(saved, last)
         else:
             forget_replay(run)
-            self.model = _learner(a, self.venv, self.steps)
-            progress.seconds = self._clone()
+            self.model, begun = _learner(a, self.venv, self.steps), time.perf_counter()
+            if isinstance(a, OnPolicy) and a.cloned is not None:
+                teacher, hinted = task.policy(a.cloned, a.seed), self._hints is not None
+                own = a.bc_steps, a.seed, hinted, a.bc_rounds, getattr(a, "bc_std", LEAST_STD)
+                imitate(self.model, task.batch(a.envs), teacher, *own)
+            progress.seconds = time.perf_counter() - begun
         if not progress.step:
             self.venv.seed(training_seeds(a.seed, a.envs))
         self._player = task.advised(as_policy(self.model), self._hints)
         return progress
-
-    def _clone(self) -> float:
-        """Clone the policy of ``bc`` or ``hints``, if there is one; return the duration in s."""
-        a, begun = self.arguments, time.perf_counter()
-        if isinstance(a, OnPolicy) and a.cloned is not None:
-            batch, teacher = self._task.batch(a.envs), self._task.policy(a.cloned, a.seed)
-            hinted, least_std = self._hints is not None, getattr(a, "bc_std", LEAST_STD)
-            imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, least_std)
-        return time.perf_counter() - begun
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.train.loop.Trainee`; initial states are those of the curriculum's stage."""

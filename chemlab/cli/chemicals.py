@@ -222,11 +222,10 @@ def _show_materials(tables: dict[str, Any], compounds: Sequence[Compound]) -> No
     from ..openchem.compounds import doubts, estimates
 
     estimated = estimates(tables)
-    rows = [
-        (key, _identify(compounds, key), t["formula"], t["role"], f"{t['boiling_point_k']:.1f}",
-         ", ".join(estimated[key]) or "none")
-        for key, t in tables.items()
-    ]  # fmt: skip
+    rows = []
+    for key, t in tables.items():
+        boils, estimates_of = f"{t['boiling_point_k']:.1f}", ", ".join(estimated[key]) or "none"
+        rows.append((key, _identify(compounds, key), t["formula"], t["role"], boils, estimates_of))
     if rows:
         head = ("material", "compound, CAS number", "formula", "role", "boils (K)", "estimates")
         show_table("", head, rows, right=(4,))

@@ -77,12 +77,8 @@ def _was_printing(error: BaseException) -> bool:
 FORMER_COMMANDS: dict[str, tuple[str, ...]] = {
     "compare": ("evaluate",),
     "plan": ("audit", "plan"),
-    "difficulty": ("audit", "difficulty"),
     "demos": ("export", "demos"),
     "figures": ("plot", "runs"),
-    "material": ("data", "material"),
-    "pairs": ("data", "pairs"),
-    "reactions": ("data", "reactions"),
     "starts": ("export", "starts"),
     "train-together": ("train", "--algo", "ippo"),
 }

@@ -144,8 +144,7 @@ def _number(value: float | None) -> str:
 
 
 _FIRST = ("roles", "bench", "algo")
-_OLD_OPTIONS = {"imitate": str, "imitate_steps": int, "imitate_rounds": int, "imitate_spread": float}
-_OLD_OPTIONS |= {"advice": str, "critic": str, "scenario": str}
+_OLD_OPTIONS = {"imitate": str, "imitate_steps": int, "imitate_rounds": int, "scenario": str}
 
 
 def _options() -> list[Any]:

@@ -166,13 +166,13 @@ class _RecurrentModel(Remembering):
 class _Model:
     """A trained model with Stable-Baselines3's ``predict`` as a policy; models that accept masks receive them."""
 
-    def __init__(self, model: Any, deterministic: bool = True) -> None:
-        self._model, self._deterministic = model, deterministic
+    def __init__(self, model: Any) -> None:
+        self._model = model
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
-        actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
+        actions, _ = self._model.predict(observation, deterministic=True, **masks)
         return np.asarray(actions)
 
 

@@ -158,7 +158,7 @@ class _OneRole:
     @property
     def action_meanings(self) -> list[str]:
         """Description of each action, or of each number of a continuous action."""
-        return self.episodes.action_meanings
+        return self.episodes.workplace.action_meanings
 
 
 def _reject(place: str, **arguments: Any) -> None:

@@ -20,6 +20,7 @@ from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
 from ..lab.hidden import World, Worlds
 from ..lab.text import describe_laboratory
+from ..roles.base import Workplace
 from ..roles.manager_state import RUNNING
 from .players import Players, as_policy
 
@@ -86,11 +87,8 @@ class RoleEpisodes(ABC):
 
     worlds: Worlds
     """Worlds of the members."""
-
-    @property
-    @abstractmethod
-    def action_meanings(self) -> list[str]:
-        """Description of each action, or of each number of a continuous action."""
+    workplace: Workplace
+    """Bench or manager of the agent."""
 
     @abstractmethod
     def checked(self, action: Any) -> npt.NDArray[Any]:
@@ -190,6 +188,7 @@ class BenchEpisodes(RoleEpisodes):
     ) -> None:
         self.batch = ExperimentBatch(scenario, bench, members, goals, starts)
         self.bench, self.worlds = self.batch.bench, self.batch.worlds
+        self.workplace = self.bench
         super().__init__(
             members,
             self.batch.experiments.agent,
@@ -208,10 +207,6 @@ class BenchEpisodes(RoleEpisodes):
             (np.arange(low, high), self.bench if i == 0 else self.bench.separate_scratch())
             for i, (low, high) in enumerate(itertools.pairwise(bounds))
         ]
-
-    @property
-    def action_meanings(self) -> list[str]:
-        return self.bench.action_meanings
 
     def checked(self, action: Any) -> npt.NDArray[Any]:
         return self.bench.checked(self.agent, action)
@@ -389,16 +384,12 @@ class LaboratoryEpisodes(RoleEpisodes):
             labs.action_space(self.focal),
             autoreset_mode,
         )
-        self.worlds = labs.worlds
+        self.worlds, self.workplace = labs.worlds, labs.roles[self.focal].workplace
         self._lab_costs = np.zeros(count)
         self._elapsed = np.zeros(count, dtype=np.int64)
         self._last_turn = np.zeros(count, dtype=np.int64)
         weights = scenario.safety.weights
         self._event_weights = np.array([weights.get(kind, 0.0) for kind in scenario.safety_events])
-
-    @property
-    def action_meanings(self) -> list[str]:
-        return self.laboratories.roles[self.focal].action_meanings
 
     def checked(self, action: Any) -> npt.NDArray[Any]:
         return self.laboratories.checked(self.focal, action)

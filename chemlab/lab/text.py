@@ -141,11 +141,6 @@ def curve_words(channel: Channel, values: npt.NDArray[Any]) -> str:
     return f"{'nm:%' if spectrum else 'index:%'} {points}"
 
 
-def _digits(values: npt.NDArray[Any]) -> str:
-    """Values as two digits each, in hundredths."""
-    return "two digits a value " + "".join(f"{min(int(100.0 * value), 99):02d}" for value in values)
-
-
 def _vertices(values: npt.NDArray[np.float64]) -> list[int]:
     """Return the indices of the points of the approximation (Ramer, Douglas and Peucker's algorithm)."""
     kept, open_spans = {0, len(values) - 1}, [(0, len(values) - 1)]
@@ -473,8 +468,8 @@ class RoleText:
             return f"under repair: {_number(channel.unscaled(float(values[0])))} ticks left" if values[0] else ""
         if channel.unit == "0 or 1":
             return before if values[0] > 0.5 else f"not {before}" if label != "broken" else ""
-        if channel.name in self.noisy:
-            return _digits(values)
+        if channel.name in self.noisy:  # in hundredths
+            return "two digits a value " + "".join(f"{min(int(100.0 * value), 99):02d}" for value in values)
         if channel.unit == "grey":
             return self._shades.words(values, self._name)
         if channel.name in self._scales:

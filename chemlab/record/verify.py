@@ -23,15 +23,15 @@ _ROUNDING = 1e-6
 
 Status = Literal["ok", "tampered", "torn", "other", "unchecked", "foreign", "chosen"]
 EXIT_CODES: dict[Status, int] = {
-    "ok": 0,
     "tampered": 1,
-    "torn": 3,
-    "other": 4,
     "unchecked": 5,
+    "other": 4,
     "foreign": 6,
     "chosen": 7,
+    "torn": 3,
+    "ok": 0,
 }
-"""Exit codes of ``chemlab verify``; 2 is a usage error."""
+"""Exit codes of ``chemlab verify``, worst first; 2 is a usage error."""
 assert set(EXIT_CODES) == set(get_args(Status))
 
 

@@ -22,7 +22,6 @@ from chemlab.agents.evaluate.leaderboard import (
     leaderboard_lines,
     on_scale,
     runs_of,
-    summary,
     write_leaderboard,
 )
 from chemlab.agents.policies import make_policies, policy_files
@@ -32,7 +31,7 @@ from chemlab.agents.seats import Room
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import Recorder, RecordError, verify_record
+from chemlab.record import Recorder, RecordError, scenario_hash, verify_record
 from studies.tools.seats import play_scripted
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
@@ -131,33 +130,23 @@ def test_lines_of_several_commands_are_on_one_scale(played: Played, tmp_path: Pa
     own = written(tmp_path / "own")
     zero, end = (own["scripted:unsafe"]["scale"][key] for key in ("random", "oracle"))
     assert own["scripted:unsafe"]["value"] == pytest.approx((own["scripted:unsafe"]["score"] - zero) / (end - zero))
-    half, twice = (zero + (end - zero) * factor for factor in (0.5, 2.0))
-    bare = {name: {key: value for key, value in line.items() if "scores" not in key} for name, line in own.items()}
-    lower = {**bare["scripted:unsafe"], "policy": "somebody", "scale": {"random": zero, "oracle": half}}
-    higher = {**bare["oracle"], "score": twice, "scale": {"random": zero, "oracle": twice}}
-    # A command whose scale ended at half of this one's: its line comes to half as much on this one's.
-    lines = written(tmp_path / "lower", lower)
-    assert {name: lines[name] for name in own} == own
-    for part in (None, "over_baseline", "generalization"):
-        line, before = (one if part is None else one[part] for one in (lines["somebody"], lower))
-        for key in ("value", "low", "high"):
-            assert line[key] == pytest.approx(before[key] / 2)
-    assert lines["somebody"]["scale"] == own["scripted:unsafe"]["scale"]
-    assert lines["somebody"]["score"] == lower["score"]
-    # One whose scale ended higher: its end stays, and all others are on it.
-    lines = written(tmp_path / "higher", higher, lower)
-    assert lines["oracle"] == higher
-    assert lines["scripted:unsafe"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 2)
-    assert lines["somebody"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 4)
-    assert lines["random"]["value"] == 0.0
-    # Other episodes, other worlds, or a line that does not say: nothing to compare.
+    # A command whose planner came to less: its lines come to less on this one's scale.
+    low = {"random": zero, "oracle": (zero + end) / 2.0}
+    somebody = {
+        **own["scripted:unsafe"],
+        "policy": "somebody",
+        "scale": low,
+        "value": 2.0 * own["scripted:unsafe"]["value"],
+    }
+    worse = {**own["oracle"], "scores": [score - 0.1 for score in own["oracle"]["scores"]], "scale": low}
+    lines = written(tmp_path / "lower", somebody, worse)
+    assert lines == own | {"somebody": {**own["scripted:unsafe"], "policy": "somebody"}}
+    # Other episodes, or other worlds: nothing to compare.
     others: list[dict[str, Any]] = [
-        {**lower, "policy": "a", "scale": {"random": zero + 0.1, "oracle": half}},
-        {**lower, "policy": "b", "scenario_hash": "another"},
-        {**lower, "policy": "c", "split": "validation"},
-        {key: value for key, value in lower.items() if key != "scale"} | {"value": -1.0},
+        {**somebody, "policy": "a", "scale": {"random": zero + 0.1, "oracle": end}},
+        {**somebody, "policy": "b", "scenario_hash": "another"},
+        {**somebody, "policy": "c", "split": "validation"},
     ]
-    others.append({**own["scripted:unsafe"], "policy": "d", "scale": {"random": zero + 0.1, "oracle": half}})
     lines = written(tmp_path / "others", *others)
     assert [lines[line["policy"]] for line in others] == others
     *known, last = [line["value"] for line in lines.values()]
@@ -195,7 +184,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
         (
             {"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0},
-            "has no score or no valid scale",
+            "has no valid scale",
         ),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
@@ -212,14 +201,10 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
     assert "unlabelled, scripted:unsafe: ../leaderboard.json" in command("verify", path, code=1)
     path.write_text(json.dumps({"lines": [{**hasty, "scores": [1e308] * 5}]}))
     refused("less than or equal to", check_leaderboard, path)
-    # Without scores nothing can be computed, which is said; without the planner's, the mean alone.
-    lines = [{key: value for key, value in line.items() if key != "scores"} for line in by_name.values()]
-    path.write_text(json.dumps({"lines": lines}))
-    bare = check_leaderboard(path)
-    assert {check.proof for check in bare} == {"none", "empty"}
-    assert "5 lines have no scores, so nothing but their records is proven (unlabelled 5)" in summary(bare)
-    lines = [line if line is not by_name["oracle"] else lines[k] for k, line in enumerate(by_name.values())]
-    path.write_text(json.dumps({"lines": lines}))
+    path.write_text(json.dumps({"lines": [{key: value for key, value in hasty.items() if key != "scores"}]}))
+    refused("value: needs the scores", check_leaderboard, path)
+    # Without the planner's line, the mean alone is proven.
+    path.write_text(json.dumps({"lines": [line for line in by_name.values() if line is not by_name["oracle"]]}))
     assert {check.policy: check.proof for check in check_leaderboard(path)}["scripted:unsafe"] == "score"
 
 
@@ -237,7 +222,8 @@ def test_what_a_record_claims_does_not_prove_a_line(tmp_path: Path) -> None:
     begun = "".join(elsewhere.splitlines(keepends=True)[:2])
     (tmp_path / "a.jsonl").write_text(begun)
     so_far = verify_record(tmp_path / "a.jsonl").score
-    line: dict[str, Any] = {"scenario": "unlabelled", "policy": "a", "split": "test"}
+    ends = {"random": 0.0, "oracle": 1.0}
+    line: dict[str, Any] = {"scenario": "unlabelled", "policy": "a", "episodes": 1, "scale": ends}
     for text, score, count, what, *split in (
         (elsewhere, scores[0], 1, ""),
         (elsewhere.replace(f'"score":{scores[0]!r}', '"score":5.0'), 5.0, 1, "other: made by chemlab 9.9"),
@@ -249,7 +235,9 @@ def test_what_a_record_claims_does_not_prove_a_line(tmp_path: Path) -> None:
         (tmp_path / "a.jsonl").write_text(text)
         records = [{"file": "a.jsonl", "seed": AUDIT_SEED, "score": score}] * count
         line |= {"value": score, "records": records, "split": (split or ["test"])[0]}
-        (tmp_path / "board.json").write_text(json.dumps({"lines": [line]}))
+        played = {"score": score, "scores": [score]}
+        played["scenario_hash"] = scenario_hash(easier if text is texts[1] else bundled)
+        (tmp_path / "board.json").write_text(json.dumps({"lines": [{**line, **played}]}))
         (check,) = check_leaderboard(tmp_path / "board.json")
         assert (bool(check.faults), what in "".join(check.faults)) == (bool(what), True), (what, check.faults)
 
@@ -441,7 +429,7 @@ def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkey
 def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path) -> None:
     path = tmp_path / "leaderboard.json"
     assert leaderboard_lines(path) == []
-    line = {"scenario": "a", "policy": "b", "split": "test", "value": None, "more": [1, "x"]}
+    line = {"scenario": "a", "policy": "b", "split": "test", "scenario_hash": "c", "value": None, "more": [1, "x"]}
     path.write_text(json.dumps({"lines": [line]}))
     assert leaderboard_lines(path) == [line]
     texts = [json.dumps({"lines": [{**line, key: value}]}) for key, value in (("value", "x"), ("policy", 1))]

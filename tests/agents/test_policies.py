@@ -155,9 +155,8 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
     ("given", "current"),
     [
         ("heuristic", "scripted"),
-        ("pretrained-alone,manager=direct", "pretrained-isolated,manager=scripted:no-extraction"),
+        ("pretrained,manager=direct", "pretrained,manager=scripted:no-extraction"),
         ("heuristic,rxn_0=hasty@0.2", "scripted,rxn_0=scripted:unsafe@0.2"),
-        ("serial", "scripted:fifo"),
         ("runs/heuristic", "runs/heuristic"),
         ("plan:hasty", "plan:hasty"),
     ],

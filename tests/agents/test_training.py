@@ -447,8 +447,6 @@ def test_old_names_are_accepted_with_a_notice(capsys: Any) -> None:
     for old, new in (
         ({"imitate": "random", "imitate_steps": 9}, {"bc": "random", "bc_steps": 9}),
         ({"imitate": "random", "imitate_rounds": 2}, {"bc": "random", "bc_rounds": 2}),
-        ({"imitate": "random", "imitate_spread": 0.3}, {"bc": "random", "bc_std": 0.3}),
-        ({"algo": "maskable-ppo", "advice": "random"}, {"algo": "maskable-ppo", "hints": "random"}),
     ):
         expected = training_arguments({"bench": "rxn", **new})
         assert capsys.readouterr().err == ""
@@ -473,10 +471,10 @@ def test_environment_ids_stand_for_scenario_and_role() -> None:
 
 
 def test_old_commands_are_accepted_with_a_notice(tmp_path: Path) -> None:
-    joint = ["train-together", "wurtz_dodecane", "--critic", "state", "--steps", "0", "--out", tmp_path / "run"]
+    joint = ["train-together", "wurtz_dodecane", "--imitate", "random", "--steps", "0", "--out", tmp_path / "run"]
     said = command(*joint, code=2)
     assert "chemlab train-together is now chemlab train --algo ippo" in said
-    assert "critic is now called algo" in said
+    assert "imitate is now called bc" in said
     assert "train: steps: Input should be greater than or equal to 1" in said
     assert "recipes/rllib.py" in command("train-rllib", "wurtz_dodecane", code=2)
 
@@ -537,7 +535,7 @@ def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
 @pytest.mark.parametrize("algo", ["ppo", "maskable-ppo", "ippo"])
 def test_values_of_any_kind_are_readable_errors(algo: str) -> None:
     """Also of names of before 0.3. What is not refused is a value that the argument may have."""
-    names = {name for kind in KINDS for name in kind.model_fields} | set(OLD_NAMES)
+    names = {name for kind in KINDS for name in kind.model_fields} | {*OLD_NAMES, "env_id"}
     values = [["x"], [["x"]], [1], [], {}, {"a": 1}, [None], 1.5, -1, "", True, float("nan"), 10**30, "x" * 99]
     for name, value in itertools.product(sorted(names), values):
         with contextlib.suppress(DataError):

@@ -210,6 +210,7 @@ def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
     line: dict[str, Any] = {"scenario": "failing", "scenario_hash": "0" * 16, "policy": "scripted", "value": 0.5}
     line |= {"scores": [0.5, None], "train_scores": [0.1, 0.2], "runs": 2, "seeds": 2, "episodes": 1, "score": 0.5}
     line |= {"low": 0.4, "high": None, "split": "test", "records": [{"file": "records/a.jsonl", "seed": 1}]}
+    line["scale"] = {"random": 0.0, "oracle": 1.0}
     board = {"kind": "leaderboard", "format": 1, "lines": [line, {**line, "value": None}, {**line, "policy": "a"}]}
     write_json(folder / "leaderboard.json", board, rng)
     write_leaderboard(folder / "leaderboard.json", [])

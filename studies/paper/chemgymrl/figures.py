@@ -18,6 +18,7 @@ from chemlab.agents.evaluate.curves import algorithm_style, average_curves
 from chemlab.agents.evaluate.results import Cell, display_name
 from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
 
+from .measures import best_ratios, mean_ratios
 from .results import EXPERIMENTS, Results
 
 _GOALS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
@@ -81,8 +82,8 @@ def _radar(results: Results, key: str) -> Drawn:
     angles = np.linspace(0.0, 2.0 * np.pi, len(goals), endpoint=False)
     closed = np.append(angles, angles[0])
     panels = {
-        "(a) best of the runs": {label: cell.best_ratios() for label, cell in cells.items()},
-        "(b) mean over the runs": {label: cell.mean_ratios() for label, cell in cells.items()},
+        "(a) best of the runs": {label: best_ratios(cell) for label, cell in cells.items()},
+        "(b) mean over the runs": {label: mean_ratios(cell) for label, cell in cells.items()},
     }
     clipped = {
         title: {label: np.maximum(0.0, [ratios[goal] for goal in goals]) for label, ratios in drawn.items()}

@@ -53,9 +53,20 @@ def _by_goal(cell: Cell, over_runs: Callable[[FloatArray], FloatArray]) -> Value
     return dict(zip(cell.goals, over_runs(cell.relative()).tolist(), strict=True))
 
 
-def _ends(cell: Cell, over_runs: Callable[[FloatArray], float], least: int = 1) -> float | None:
-    """Return a statistic of the mean training returns at the end of each run."""
-    ends = cell.training_ends()
+def best_ratios(cell: Cell) -> Values:
+    """Return the returns of the best run relative to the scripted policy's, by goal."""
+    return _by_goal(cell, lambda ratios: ratios[cell.runs.index(cell.best)])
+
+
+def mean_ratios(cell: Cell) -> Values:
+    """Return the mean over runs of returns relative to the scripted policy's, by goal."""
+    return _by_goal(cell, lambda ratios: ratios.mean(axis=0))
+
+
+def training_end(cell: Cell, over_runs: Callable[[FloatArray], float], least: int = 1) -> float | None:
+    """Return a statistic of the mean training returns in the last tenth of each run's curve."""
+    curves = [run.curve for run in cell.runs if len(run.curve)]
+    ends = np.array([c[c[:, 0] >= 0.9 * c[-1, 0], 1].mean() for c in curves])
     return float(over_runs(ends)) if len(ends) >= least else None
 
 
@@ -168,13 +179,13 @@ MEASURES: dict[str, Measure] = {
     "lowest run": Measure(_of_cell(lambda cell: float(cell.means().min())), _plain),
     "scripted": Measure(_of_cell(Cell.scripted_mean), _plain),
     "share of scripted": Measure(_of_cell(_share), lambda value: f"{value:.2f}"),
-    "best run by goal": Measure(_of_cell(Cell.best_ratios), _plain),
-    "mean of runs by goal": Measure(_of_cell(Cell.mean_ratios), _plain),
+    "best run by goal": Measure(_of_cell(best_ratios), _plain),
+    "mean of runs by goal": Measure(_of_cell(mean_ratios), _plain),
     "any run by goal": Measure(_of_cell(lambda cell: _by_goal(cell, lambda r: r.max(axis=0))), _plain),
     "lowest run by goal": Measure(_of_cell(lambda cell: _by_goal(cell, lambda r: r.min(axis=0))), _plain),
-    "training end": Measure(_of_cell(lambda cell: _ends(cell, np.mean)), _plain),
-    "lowest training end": Measure(_of_cell(lambda cell: _ends(cell, np.min)), _plain),
-    "spread of training ends": Measure(_of_cell(lambda cell: _ends(cell, lambda e: e.std(ddof=1), 2)), _plain),
+    "training end": Measure(_of_cell(lambda cell: training_end(cell, np.mean)), _plain),
+    "lowest training end": Measure(_of_cell(lambda cell: training_end(cell, np.min)), _plain),
+    "spread of training ends": Measure(_of_cell(lambda cell: training_end(cell, lambda e: e.std(ddof=1), 2)), _plain),
     "converged by": Measure(_of_cell(_converged), _steps),
     "converged before the end": Measure(_of_cell(lambda cell: _converged(cell, np.inf)), _steps),
     "added for E": Measure(partial(_added_for, goal="E"), lambda value: f"{value:.2f}"),
