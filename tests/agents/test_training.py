@@ -327,7 +327,7 @@ def test_returns_of_a_bench_are_rows_of_goals() -> None:
         np.testing.assert_array_equal(task.returns(Picky(), 3, 50), rows)
 
 
-def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -> None:
+def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to() -> None:
     for arguments, start in ((small("sac"), 1.0), (small("sac", ent_coef_start=0.01), 0.01)):
         model: Any = _learner(arguments, ChemlabVecEnv(2, scenario="fictitious", bench="rxn"), 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
