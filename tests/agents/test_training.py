@@ -618,9 +618,14 @@ def test_a_mistyped_policy_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_a_run_without_a_checkpoint_does_not_hold_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever goes wrong there; one that was stopped by its user goes on."""
     run, values = Run(tmp_path / "run"), {**SMALL, "env_id": RXN, "algo": "ppo"}
-    for error, holds in ((RuntimeError("no memory"), False), (KeyboardInterrupt(), True)):
+    cases = (
+        (Agent, "begin", ValueError("no clone"), False),
+        (training, "train_in_rounds", RuntimeError("no memory"), False),
+        (training, "train_in_rounds", KeyboardInterrupt(), True),
+    )
+    for owner, name, error, holds in cases:
         with monkeypatch.context() as patch:
-            patch.setattr(training, "train_in_rounds", Mock(side_effect=error))
+            patch.setattr(owner, name, Mock(side_effect=error))
             with pytest.raises(type(error)):
                 train(training_arguments(values), run.path)
         assert run.config_file.exists() is holds
