@@ -34,35 +34,11 @@ from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.cli.options import paragraphs
 from chemlab.config.display import markdown_table
-from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
-from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
-from chemlab.config.scenario import (
-    MANAGER_AGENT,
-    PHYSICS_TIERS,
-    BenchSpec,
-    Companion,
-    CostSpec,
-    DemandSpec,
-    DriftSpec,
-    GradeSpec,
-    InstrumentSpec,
-    LimitSpec,
-    ManagerSpec,
-    OrderSpec,
-    OrderTerms,
-    ProductSpec,
-    RealSpec,
-    RewardSpec,
-    SafetySpec,
-    Scenario,
-    ShelfSpec,
-    StartSpec,
-    VesselSpec,
-    WearSpec,
-)
+from chemlab.config.materials import Material
+from chemlab.config.reactions import ReactionFamily, equation
+from chemlab.config.scenario import MANAGER_AGENT, PHYSICS_TIERS, Scenario
 from chemlab.lab import describe as facts
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
@@ -539,35 +515,21 @@ def _leaderboard() -> str:
 
 # -- keys of data files -----------------------------------------------------------------------------------------------
 
-_FILES: dict[str, tuple[type[pydantic.BaseModel], ...]] = {
-    "Scenario": (
-        Scenario,
-        ShelfSpec,
-        VesselSpec,
-        BenchSpec,
-        StartSpec,
-        Companion,
-        WearSpec,
-        InstrumentSpec,
-        DriftSpec,
-        LimitSpec,
-        ManagerSpec,
-        CostSpec,
-        SafetySpec,
-        RewardSpec,
-        RealSpec,
-        OrderSpec,
-        ProductSpec,
-        DemandSpec,
-        OrderTerms,
-        GradeSpec,
-    ),
-    "World": (WorldSpec, Draw, Uniform, Normal, Lognormal, Choice, Permutation),
-    "Reaction bench": (reaction.ReactionOptions, reaction.TemperatureSpan, reaction.Span),
-    "Extraction, distillation and crystallization bench": (operations.OperationOptions, operations.Process),
-    "Material": (Material, AbsorptionPeak, RealProperties, VaporPressure),
-    "Reaction family": (ReactionFamily, Reaction, Salt, Solubility, Acid, Violent),
+_FILES: dict[str, type[pydantic.BaseModel]] = {
+    "Scenario": Scenario,
+    "Reaction bench": reaction.ReactionOptions,
+    "Extraction, distillation and crystallization bench": operations.OperationOptions,
+    "Material": Material,
+    "Reaction family": ReactionFamily,
 }
+
+
+def _models(hint: Any) -> list[type[pydantic.BaseModel]]:
+    """Return the models in a type, each followed by those of its fields."""
+    if isinstance(hint, type) and issubclass(hint, pydantic.BaseModel):
+        fields = (field.annotation for field in hint.model_fields.values())
+        return list(dict.fromkeys([hint, *(model for each in fields for model in _models(each))]))
+    return [model for argument in typing.get_args(hint) for model in _models(argument)]
 
 
 def _type(hint: Any) -> str:
@@ -654,9 +616,9 @@ def _keys_page() -> str:
         "1,000,000 bytes and 12 levels, a table or list 10,000 entries, a text 4000 characters, a key 100.",
         "",
     ]
-    for title, models in _FILES.items():
+    for title, file in _FILES.items():
         parts += [f"## {title}", ""]
-        for model in models:
+        for model in _models(file):
             docs = ModuleAnalyzer.for_module(model.__module__).find_attr_docs()
             owners = [base.__name__ for base in model.__mro__]
             rows = []

@@ -19,7 +19,6 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.train.arguments import training_arguments
-from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
@@ -32,7 +31,7 @@ def manager(budget: Budget, staged: bool) -> Outcome:
     arguments = training_arguments({**given, "steps": budget.steps, **ONCE, **size})
     if not staged:
         arguments = arguments.model_copy(update={"curriculum": None})
-    return score_run(train, arguments, TARGET, GOAL, budget)
+    return score_run(arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:

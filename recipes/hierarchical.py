@@ -20,7 +20,6 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.train.arguments import IPPO
-from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
@@ -35,7 +34,7 @@ def learned_together(
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64, "rollout": 64}
     size |= {"roles": roles, "background": background, "learning_rate": 1e-3}
     arguments = IPPO(scenario=TARGET.scenario.name, seed=budget.seed, steps=steps, **{**size, **ONCE, **settings})
-    return score_run(train, arguments, TARGET, GOAL, budget)
+    return score_run(arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:

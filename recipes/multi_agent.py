@@ -22,7 +22,6 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.train.arguments import IPPO, MAPPO
-from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
@@ -42,7 +41,7 @@ def team(budget: Budget, algorithm: type[IPPO] = IPPO, **settings: Any) -> Outco
         given = {"rewards": "mixed", "envs": 4, "rollout": 12}
     given = {**given, **ONCE, **settings}
     arguments = algorithm(scenario=TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
-    return score_run(train, arguments, TARGET, GOAL, budget)
+    return score_run(arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:

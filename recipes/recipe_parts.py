@@ -127,16 +127,17 @@ def score(policy: Any, target: Target, goal: str, budget: Budget) -> Outcome:
     return Outcome.of(play_bench(env, player, goal, AUDIT_SEED), getattr(policy, "num_timesteps", 0))
 
 
-def score_run(train: Callable[..., Any], arguments: Any, target: Target, goal: str, budget: Budget) -> Outcome:
+def score_run(arguments: Any, target: Target, goal: str, budget: Budget) -> Outcome:
     """Train with ``chemlab train`` and score the last checkpoint, which is not kept.
 
     Args:
-        train: the function behind the command.
-        arguments: its arguments.
+        arguments: arguments of the run.
         target: the laboratory of the evaluation episodes.
         goal: goal of these episodes.
         budget: resources.
     """
+    from chemlab.agents.train.learn import train
+
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         train(arguments, run)

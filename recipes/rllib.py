@@ -45,7 +45,6 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.train.arguments import MaskablePPO
-from chemlab.agents.train.learn import train
 from chemlab.lab.engine import Laboratories
 
 TARGET = Target(load_scenario("salt_from_oil"))
@@ -251,7 +250,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     np.random.seed(budget.seed)  # noqa: NPY002 - RLlib draws from the global stream
     return {
         "RLlib": manager(budget),
-        PLAIN: score_run(train, plain, TARGET, GOAL, budget),
+        PLAIN: score_run(plain, TARGET, GOAL, budget),
         SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 

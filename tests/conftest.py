@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -144,22 +143,3 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(imitate, "_UPDATES", 20)
     monkeypatch.setattr(imitate, "_EPOCHS", 1)
-
-
-@pytest.fixture
-def in_time() -> Iterator[None]:
-    """Fail a test that waits for ever, which would stop all others (where the system has alarms)."""
-    if not hasattr(signal, "alarm"):
-        yield
-        return
-
-    def late(*_: object) -> None:
-        raise TimeoutError("waited for two minutes")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(120)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)

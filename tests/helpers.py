@@ -8,8 +8,10 @@ import hashlib
 import importlib.util
 import json
 import os
+import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -155,6 +157,22 @@ def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
     while not met():
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+@contextmanager
+def limited(seconds: int) -> Iterator[None]:
+    """Raise a TimeoutError after that long; needs signals of POSIX."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"took more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _parent(pid: int) -> int:

@@ -467,6 +467,8 @@ def test_pages_build_without_warnings(built: Path) -> None:
     for name in ("laboratory", "parallel", "role", "batched"):
         assert (pages / "environments" / f"{name}.html").exists()
     check_tables((DOCS / "generated" / "environments" / "role.md").read_text(encoding="utf-8"))
+    keys = (DOCS / "generated" / "keys.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\]\(#(\w+)\)", keys)) <= {model.lower() for model in re.findall(r"^### (\w+)$", keys, re.M)}
     home = (built / "index.html").read_text(encoding="utf-8")
     features = (DOCS / "generated" / "scenarios" / "index.md").read_text(encoding="utf-8")
     for name in scenario_names():

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers import refused
+from helpers import limited, refused
 
 from chemlab.config.datafile import read_toml
 from chemlab.config.files import (
@@ -127,7 +127,8 @@ def test_errors_name_the_file_that_something_is_in_the_way_of(tmp_path: Path) ->
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of POSIX")
-def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: None) -> None:
+@limited(120)
+def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
     """Pipes that nobody writes to, endless devices, links to either; files larger than allowed, however they look."""
     small, large, sparse = (tmp_path / name for name in ("small", "large", "sparse"))
     small.write_bytes(b"0123456789")

@@ -102,35 +102,6 @@ def test_what_was_played_before_leaves_nothing_in_a_record(name: str, tmp_path: 
     assert records[0] == records[2] != records[1]
 
 
-def test_the_hash_of_the_state_has_every_field_of_a_running_experiment(tmp_path: Path) -> None:
-    """Jacket and supplies of a reaction, pictures and layers of an extraction: another value is another hash."""
-    env = raw_env("wurtz_dodecane")
-    labs = env.laboratories
-    tried: set[str] = set()
-
-    def watch(turn: Any) -> None:
-        if not turn.agent.startswith(("rxn", "ext")):
-            return
-        experiments = labs.experiments[labs.bench_agents.index(turn.agent)]
-        if not experiments.busy[0]:
-            return
-        lines = recorder_module.EpisodeLines(labs, 0)
-        before = lines._state()
-        for declared in experiments.table._fields:
-            array = getattr(experiments, declared.name)
-            if f"{turn.agent} {declared.name}" in tried or not declared.field.kept or not array.size:
-                continue
-            tried.add(f"{turn.agent} {declared.name}")
-            kept = array.copy()
-            array[...] = ~array if array.dtype == bool else array + 1
-            assert lines._state() != before or declared.name == "life", declared.name  # which is infinite
-            array[...] = kept
-            assert lines._state() == before
-
-    play_episode(env, make_policies("scripted", labs, 3), 3, watch=watch)
-    assert {"rxn_0 jacket", "rxn_0 supply", "rxn_0 baseline", "ext_0 image", "ext_0 profile", "ext_0 events"} <= tried
-
-
 def test_streams_that_went_on(tmp_path: Path) -> None:
     """An episode without a seed of its own is played again from the streams it began with, whatever misuse."""
     env, path, rng = raw_env("wurtz_any"), tmp_path / "a.jsonl", np.random.default_rng(8)
@@ -686,26 +657,29 @@ def test_what_is_no_record(tmp_path: Path) -> None:
             assert verify_record(path).status == "unchecked", path
 
 
-@pytest.mark.parametrize("laboratories", [1, 3])
-def test_the_state_of_a_record_is_all_of_the_laboratory_s(laboratories: int) -> None:
+@pytest.mark.parametrize(("name", "laboratories"), [("failing", 1), ("failing", 3), ("wurtz_dodecane", 3)])
+def test_the_state_of_a_record_is_all_of_the_laboratory_s(name: str, laboratories: int) -> None:
     """Each array's last number, changed as time goes on, is another state; those of other laboratories are not."""
-    labs = Laboratories("failing", laboratories)
+    labs = Laboratories(name, laboratories)
     labs.reset(labs.members)
-    lines, tried = recorder_module.EpisodeLines(labs, 0), 0
-    for field, array in zip(labs.table._fields, labs.table._own, strict=True):
-        if "N" not in field.axes or field.name == "reading" or not array.size:
-            continue
-        own = array.swapaxes(0, field.axes.index("N"))
-        before = lines._state()
-        for member in range(laboratories):
-            place = (member, *(-1,) * (own.ndim - 1))
-            kept = own[place].copy()
-            own[place] = not kept if own.dtype == bool else np.nan_to_num(kept) + 1
-            assert (lines._state() != before) == (member == 0), field.name
-            own[place] = kept
-        assert lines._state() == before
-        tried += 1
-    assert tried > 20
+    lines, tried = recorder_module.EpisodeLines(labs, 0), set()
+    for agent, table in zip(labs.agents, (labs.table, *(one.table for one in labs.experiments)), strict=True):
+        for field, array in zip(table._fields, table._own, strict=True):
+            if "N" not in field.axes or not field.field.kept or field.name == "reading" or not array.size:
+                continue
+            own = array.swapaxes(0, field.axes.index("N"))
+            before = lines._state()
+            for member in range(laboratories):
+                place = (member, *(-1,) * (own.ndim - 1))
+                kept = own[place].copy()
+                own[place] = not kept if own.dtype == bool else np.nan_to_num(kept) + 1
+                assert (lines._state() != before) == (member == 0), field.name
+                own[place] = kept
+            assert lines._state() == before
+            tried.add(f"{agent} {field.name}")
+    some = {"rxn_0 jacket", "rxn_0 supply", "rxn_0 baseline", "ext_0 image", "ext_0 profile", "ext_0 events"}
+    assert tried >= (some if name == "wurtz_dodecane" else {"east_0 gain", "manager_0 drift_stream"})
+    assert len(tried) > 50
 
 
 # -- more than a record may be ---------------------------------------------------------------------------------

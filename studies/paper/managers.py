@@ -243,39 +243,37 @@ def _obstacle(group: _Group, run: TrainedRun) -> str | None:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tuple[Path | None, list[str]]:
-    """Write ``laboratory.md`` and the pictures ``laboratory_curves``; nothing is played.
+def write_laboratory(folder: Path, out: Path) -> tuple[Path | None, list[str]]:
+    """Write ``laboratory.md`` and its picture ``laboratory_curves.png``; nothing is played.
 
     Args:
         folder: folder of tables that :func:`collect` has written, or of runs, for learning curves only.
         out: output folder.
-        formats: suffixes of the pictures, such as ``png`` and ``svg``.
 
     Returns:
         Path of the page, and the runs that are not in the table, with the reason. If there are no finished runs of
         managers, the path is None and earlier output in ``out`` is deleted.
 
     Raises:
-        ValueError: the folder does not exist, a file in it is malformed, or the format is unknown.
+        ValueError: the folder does not exist, or a file in it is malformed.
         ImportError: matplotlib is not installed.
     """
     groups = _groups(read_runs(folder), folder)
     tasks = with_curves({group.title: group.labels for group in groups})
-    page, pictures = out / _PAGE, [out / f"{_CURVES}.{ending}" for ending in formats]
-    for path in pictures if tasks else (*pictures, page):
+    page, picture = out / _PAGE, out / f"{_CURVES}.png"
+    for path in [picture] if tasks else [picture, page]:
         path.unlink(missing_ok=True)
     if not groups:
         return None, []
     if tasks:
-        save_curves(tasks, pictures)
+        save_curves(tasks, [picture])
     left_out = [
         f"{run.name}: not played yet (python -m studies.paper --collect RUNS)"
         for group in groups
         for run in group.runs
         if not group.of(_LEARNED, run.name)
     ]
-    picture = pictures[0].name if tasks else None
-    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
+    write_text(page, "\n".join(_markdown(groups, left_out, picture.name if tasks else None)) + "\n")
     return page, left_out
 
 

@@ -49,12 +49,6 @@ MEASURED: dict[tuple[str, str], tuple[float, str]] = {
 }
 
 
-def saturated(solvent: str) -> tuple[Array, Array]:
-    """Return the mole fractions of (solvent, water) in the organic and in the aqueous phase."""
-    poor, rich = liquid_phases(lambda x: activity_coefficients((solvent, "water"), ROOM_K, [x, 1.0 - x]))
-    return np.array([rich, 1.0 - rich]), np.array([poor, 1.0 - poor])
-
-
 def shipped_coefficients(names: Sequence[str], temperature_k: float, fractions: Sequence[float]) -> Array:
     """Return [n] activity coefficients by the bundled pairs."""
     table = pair_table(names, shipped_pairs())
@@ -62,6 +56,12 @@ def shipped_coefficients(names: Sequence[str], temperature_k: float, fractions: 
 
 
 Law = Callable[[Sequence[str], float, Sequence[float]], Array]
+
+
+def saturated(solvent: str, law: Law = activity_coefficients) -> tuple[Array, Array]:
+    """Return the mole fractions of (solvent, water) in the organic and in the aqueous phase."""
+    poor, rich = liquid_phases(lambda x: law((solvent, "water"), ROOM_K, [x, 1.0 - x]))
+    return np.array([rich, 1.0 - rich]), np.array([poor, 1.0 - poor])
 
 
 def log_k(solute: str, solvent: str, phases: tuple[Array, Array], law: Law) -> float:

@@ -33,7 +33,7 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import TEMPERATURE
 
 HERE = Path(__file__).parent
-TABLE, FIGURE = HERE / "front.csv", HERE.parent / "docs" / "images" / "front.png"
+TABLE, FIGURE = HERE / "front.csv", HERE.parents[1] / "docs" / "images" / "front.png"
 BENCH, POT = "dit", 0
 STAGES = (1, 2, 5, 15)
 REFLUX = 3.0
@@ -113,20 +113,9 @@ def run_of(folder: Path, grade: str) -> Path:
         scenario,
         f'base = "{(HERE / "front.toml").as_posix()}"\nname = "front_{grade}"\nremove = {json.dumps(others)}\n',
     )
-    command = [
-        "train",
-        "chemlab/Bench-v1",
-        "--scenario",
-        scenario,
-        "--bench",
-        BENCH,
-        "--preset",
-        "ppo-entropy",
-        "--trust",
-    ]
-    subprocess.run(
-        [sys.executable, "-m", "chemlab", *command, "--steps", str(STEPS), "--out", folder / grade], check=True
-    )
+    command = ["train", "chemlab/Bench-v1", "--scenario", scenario, "--bench", BENCH, "--preset", "ppo-entropy"]
+    command += ["--trust", "--steps", str(STEPS), "--out", folder / grade]
+    subprocess.run([sys.executable, "-m", "chemlab", *command], check=True)
     return folder / grade
 
 

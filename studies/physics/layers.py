@@ -11,11 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from mixtures import Array, activity_coefficients, liquid_phases, vapor_pressure, write
-
-from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
-
-ROOM_K = 298.15
+from distribution import ROOM_K, Law, saturated, shipped_coefficients
+from mixtures import activity_coefficients, vapor_pressure, write
 
 MEASURED: dict[str, tuple[float, float, str]] = {
     # Mole fractions: organic in water, water in organic. As remembered from the IUPAC Solubility Data Series.
@@ -28,26 +25,19 @@ MEASURED: dict[str, tuple[float, float, str]] = {
 }
 
 
+def coexisting(law: Law, name: str) -> list[float]:
+    """Return the mole fractions of the organic in water and of water in the organic, and kPa over both layers."""
+    organic, aqueous = saturated(name, law)
+    pure = [vapor_pressure(each, ROOM_K) for each in (name, "water")]
+    kpa = float(np.sum(organic * law((name, "water"), ROOM_K, organic.tolist()) * pure)) / 1000.0
+    return [float(aqueous[0]), float(organic[1]), kpa]
+
+
 def main() -> None:
     """Write the table and print it."""
     rows = []
     for name, (in_water, of_water, source) in MEASURED.items():
-        table = pair_table([name, "water"], shipped_pairs())
-        tau = table.tau(ROOM_K)
-
-        def unifac(x: float, name: str = name) -> Array:
-            return activity_coefficients((name, "water"), ROOM_K, [x, 1.0 - x])
-
-        def shipped(x: float, tau: Array = tau, alpha: Array = table.alpha) -> Array:
-            return np.exp(log_activity_coefficients(np.array([x, 1.0 - x]), tau, alpha))
-
-        found = []
-        for law in (unifac, shipped):
-            poor, rich = liquid_phases(law)
-            gamma = law(rich)
-            pure = [vapor_pressure(each, ROOM_K) for each in (name, "water")]
-            pressure = (rich * gamma[0] * pure[0] + (1.0 - rich) * gamma[1] * pure[1]) / 1000.0
-            found += [poor, 1.0 - rich, pressure]
+        found = [*coexisting(activity_coefficients, name), *coexisting(shipped_coefficients, name)]
         rows.append((name, in_water, of_water, *found, source))
     columns = ("in_water", "of_water", "kpa")
     header = ("organic", "measured_in_water", "measured_of_water", *(f"unifac_{c}" for c in columns))

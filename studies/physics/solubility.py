@@ -10,14 +10,13 @@ pairs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
+from distribution import Law, shipped_coefficients
 from mixtures import GAS_CONSTANT, activity_coefficients, write
 from scipy.optimize import brentq
 
 from chemlab.config.materials import shipped_materials
-from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
 
 MERCK = "Merck Index, as remembered"
 AAPS = "AAPS PharmSciTech 23 (2022), doi 10.1208/s12249-021-02192-7, table IV"
@@ -62,29 +61,25 @@ def ideal(solute: str, temperature_k: float) -> float:
     return -slope * (1.0 / temperature_k - 1.0 / material.melting_point_k)
 
 
-def solve(solute: str, temperature_k: float, log_gamma: Callable[[float], float]) -> float:
+def solve(solute: str, solvent: str, temperature_k: float, law: Law) -> float:
     """Return the mole fraction of the saturated solution; the smallest if there are several."""
     right = ideal(solute, temperature_k)
-    grid = np.linspace(-18.0, -1e-3, 600)
-    values = [x + log_gamma(math.exp(x)) - right for x in grid.tolist()]
-    at = next(i for i in range(1, len(grid)) if values[i] >= 0.0)
-    return math.exp(brentq(lambda x: x + log_gamma(math.exp(x)) - right, grid[at - 1], grid[at]))
+
+    def excess(log_x: float) -> float:
+        x = math.exp(log_x)
+        return log_x + math.log(law((solute, solvent), temperature_k, [x, 1.0 - x])[0]) - right
+
+    grid = np.linspace(-18.0, -1e-3, 600).tolist()
+    at = next(i for i in range(1, len(grid)) if excess(grid[i]) >= 0.0)
+    return math.exp(brentq(excess, grid[at - 1], grid[at]))
 
 
 def main() -> None:
     """Write the table and print it."""
     rows = []
     for solute, solvent, temperature, measured, source in MEASURED:
-        table = pair_table([solute, solvent], shipped_pairs())
-        tau = table.tau(temperature)
-
-        def unifac(x: float, names: tuple[str, str] = (solute, solvent), t: float = temperature) -> float:
-            return float(np.log(activity_coefficients(names, t, [x, 1.0 - x])[0]))
-
-        def shipped(x: float, tau: np.ndarray = tau, alpha: np.ndarray = table.alpha) -> float:
-            return float(log_activity_coefficients(np.array([x, 1.0 - x]), tau, alpha)[0])
-
-        found = [solve(solute, temperature, law) for law in (unifac, shipped)]
+        laws = (activity_coefficients, shipped_coefficients)
+        found = [solve(solute, solvent, temperature, law) for law in laws]
         off = [math.log10(value / measured) for value in found]
         rows.append(
             (solute, solvent, temperature, measured, math.exp(ideal(solute, temperature)), *found, *off, source)

@@ -11,18 +11,17 @@ CHECKOUT PYTHON` (see compare_commits.py), both commits run in alternation.
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import os
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
-from report import arguments, report
+from report import arguments, children_seconds, report
 
 SCENARIOS = ("wurtz_dodecane", "fictitious", "wurtz_real", "recrystallization")
 PLAY = "from chemlab.cli import main; main()"
@@ -32,16 +31,11 @@ def run(checkout: Path, python: str, scenario: str, cache: str) -> dict[str, flo
     """Return wall and processor seconds of a first episode with a cache, and the number of cached kernels
     afterwards.
     """
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(
-        [python, "-c", PLAY, "run", scenario, "--json"],
-        check=True,
-        capture_output=True,
-        cwd=cache,  # not inside the other checkout, whose chemlab would be imported
-        env={**os.environ, "PYTHONPATH": str(checkout.resolve()), "NUMBA_CACHE_DIR": cache},
-    )
-    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    words = [python, "-c", PLAY, "run", scenario, "--json"]
+    env = {**os.environ, "PYTHONPATH": str(checkout.resolve()), "NUMBA_CACHE_DIR": cache}
+    # Not inside the other checkout, whose chemlab would be imported.
+    episode = functools.partial(subprocess.run, words, check=True, capture_output=True, cwd=cache, env=env)
+    wall, processor = children_seconds(episode)
     return {"wall_s": wall, "processor_s": processor, "kernels": sum(1 for _ in Path(cache).rglob("*.nbc"))}
 
 

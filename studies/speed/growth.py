@@ -1,11 +1,11 @@
 """Growth of the time per turn and the memory per laboratory with benches, slots, materials, reactions, laboratories.
 
-Run ``python studies/speed/growth.py`` (``--json``, ``--quick``, ``--update docs/performance.md``, ``--plot FILE``;
-``--axes`` selects axes). All agents play random legal actions. Time is processor time on one thread of
-``BatchedLaboratory.step`` alone, per turn of an agent; the sizes of an axis are measured in alternation, ``--rounds``
-times. The exponent is the slope of log(time) over log(size), fitted in every round: median, minimum and maximum; beside
-it the exponent of the two largest sizes, which approximates the limit. Memory is the allocation per additional
-laboratory, by ``tracemalloc``; its exponent is that of the two largest sizes.
+Run ``python studies/speed/growth.py`` (``--json``, ``--update docs/performance.md``; ``--axes`` selects axes, and
+``--rounds 3 --seconds 0.1 --most 64`` is a short run). All agents play random legal actions. Time is processor time on
+one thread of ``BatchedLaboratory.step`` alone, per turn of an agent; the sizes of an axis are measured in alternation,
+``--rounds`` times. The exponent is the slope of log(time) over log(size), fitted in every round: median, minimum and
+maximum; beside it the exponent of the two largest sizes, which approximates the limit. Memory is the allocation per
+additional laboratory, by ``tracemalloc``; its exponent is that of the two largest sizes.
 
 Benches and slots exceed the limits of a scenario file, to show the trend. Materials are isomers that convert into one
 another. With more reactions each is proportionally slower, so that their total rate, and with it the number of
@@ -213,19 +213,6 @@ def table(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def plot(result: dict[str, Any], path: Path) -> None:
-    """Draw curves of time (above) and memory over size. Needs the extra ``plot``."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3.0 * len(result), 5.0), layout="constrained")
-    for column, (name, one) in enumerate(result.items()):
-        for row, (values, label) in enumerate(((one["turn_us"], "µs a turn"), (one["bytes"], "bytes a laboratory"))):
-            axes = figure.add_subplot(2, len(result), row * len(result) + column + 1)
-            axes.loglog(one["sizes"][: len(values)], values, "o-")
-            axes.set(xlabel=name, ylabel=label)
-    figure.savefig(path)
-
-
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -235,16 +222,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=0.5, help="of each measurement")
     parser.add_argument("--most", type=int, help="no larger sizes")
-    parser.add_argument("--quick", action="store_true", help="three short rounds, sizes up to 64")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
     given = arguments(parser)
-    rounds, seconds, most = (3, 0.1, 64) if given.quick else (given.rounds, given.seconds, given.most)
     load = os.getloadavg()[0]
-    result = {name: measure(name, rounds, seconds, most) for name in given.axes}
-    lines = [*table(result), "", f"{rounds} rounds; load average {load:.1f} before."]
+    result = {name: measure(name, given.rounds, given.seconds, given.most) for name in given.axes}
+    lines = [*table(result), "", f"{given.rounds} rounds; load average {load:.1f} before."]
     report(given, result, {"growth": lines})
-    if given.plot is not None:
-        plot(result, given.plot)
 
 
 if __name__ == "__main__":

@@ -2,26 +2,24 @@
 
 Each row is a statistic of a number of samples in one or eight strata, drawn from a normal, a uniform or a skewed
 (exponential) distribution, or from a five-valued one with ties. True values are closed forms or, for the pooled
-interquartile mean, integrals by SciPy. ``python studies/speed/interval_coverage.py --write`` writes the Markdown table
-into docs/protocol.md. 1000 trials have a standard error of 0.007 and take two minutes on one core.
+interquartile mean, integrals by SciPy. ``python studies/speed/interval_coverage.py --update docs/protocol.md`` writes
+the table. 1000 trials have a standard error of 0.007 and take two minutes on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
+from report import arguments, report
 from scipy import integrate, optimize, stats
 
 from chemlab.agents.evaluate import statistics
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.config.display import markdown_table
-from chemlab.config.files import replace_between
 from chemlab.kernels.arrays import FloatArray
 
-PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 SIZES = (2, 3, 5, 10, 20, 40)
 STRATA = (1, 8)
 SEED = 20_260_101
@@ -112,9 +110,6 @@ def coverage(tries: int) -> list[str]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tries", type=int, default=1000, help="samples drawn for each number (default: %(default)s)")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/protocol.md")
-    asked = parser.parse_args()
-    table = coverage(asked.tries)
-    print("\n".join(table))
-    if asked.write:
-        replace_between(PAGE, "coverage", table)
+    given = arguments(parser)
+    table = coverage(given.tries)
+    report(given, table, {"coverage": table})

@@ -9,16 +9,15 @@ time includes downloads and depends on what else the machine does; processor tim
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import re
-import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
-from report import arguments, report
+from report import arguments, children_seconds, report
 
 ROOT = Path(__file__).parents[2]
 STEPS = {
@@ -40,20 +39,17 @@ STEPS = {
 """Steps and their commands; ``my_lab.toml`` is the first block of ``docs/how-to/scenario.md``."""
 
 
-def run(commands: tuple[str, ...], folder: Path, torch: str) -> tuple[float, float]:
-    """Return s of wall and processor time of commands in the clone."""
+def run(commands: tuple[str, ...], folder: Path, torch: str) -> None:
+    """Run commands in the clone."""
     programs = str(folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin"))
     # Nothing of this process's environment is found, and no kernels are.
     given = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     given |= {"PATH": os.pathsep.join((programs, given["PATH"])), "NUMBA_CACHE_DIR": str(folder / "kernels")}
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     for command in commands:
         words = [torch if word == "TORCH" else word for word in command.split()]
         done = subprocess.run(words, cwd=folder / "chemlab", env=given, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(f"{' '.join(words)}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
-    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def measure(torch: str) -> list[str]:
@@ -69,7 +65,7 @@ def measure(torch: str) -> list[str]:
         assert block is not None, "the page has the scenario"
         (folder / "chemlab" / "my_lab.toml").write_text(block[1], encoding="utf-8")
         for step, commands in STEPS.items():
-            wall, processor = run(commands, folder, torch)
+            wall, processor = children_seconds(functools.partial(run, commands, folder, torch))
             total = [total[0] + wall, total[1] + processor]
             lines.append(f"| {step} | {wall:.0f} | {processor:.0f} |")
             print(lines[-1], flush=True)

@@ -7,14 +7,15 @@ bench by random actions; every turn is drawn once. Needs no display.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 
 import numpy as np
+from report import arguments, report
 
 from chemlab import raw_env
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.config.display import markdown_table
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.envs.role_env import RoleEnv
@@ -66,17 +67,13 @@ def summary(seconds: list[float]) -> dict[str, float]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--episodes", type=int, default=3, help="episodes of each scenario")
-    arguments = parser.parse_args()
-    results = {name: laboratory(name, arguments.episodes) for name in scenario_names()}
+    given = arguments(parser)
+    results = {name: laboratory(name, given.episodes) for name in scenario_names()}
     for key in load_scenario("wurtz_dodecane").benches:
         results[f"wurtz_dodecane {key}"] = bench("wurtz_dodecane", key, 100)
-    if arguments.json:
-        print(json.dumps(results, indent=2))
-        return
-    for name, result in results.items():
-        print(f"{name:<24} {result['frames_per_second']:7.1f} frames/s, slowest {result['slowest_ms']:.1f} ms")
+    rows = [[name, f"{r['frames_per_second']:.1f}", f"{r['slowest_ms']:.1f}"] for name, r in results.items()]
+    report(given, results, {"render": markdown_table({"": False, "frames/s": True, "slowest (ms)": True}, rows)})
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ Each scenario is played by its random policies; loading ends when the page is co
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import statistics
 import tempfile
@@ -15,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import sync_playwright
+from report import arguments, report
 
 from chemlab import raw_env
 from chemlab.agents.episodes import record_episode
 from chemlab.agents.policies import make_policies
+from chemlab.config.display import markdown_table
 from chemlab.config.inherit import scenario_names
 from chemlab.record import read_record
 from chemlab.render.replay_page import replay_page
@@ -52,26 +53,23 @@ def load(browser: Any, page: Path) -> float:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--loads", type=int, default=5, help="times each page is loaded")
-    arguments = parser.parse_args()
+    given = arguments(parser)
     results = {}
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), headless=True, args=FLAGS)
         for name in scenario_names():
             page = page_of(name, Path(folder))
-            times = [load(browser, page) for _ in range(arguments.loads)]
+            times = [load(browser, page) for _ in range(given.loads)]
             results[name] = {
                 "kilobytes": round(page.stat().st_size / 1000.0),
                 "median_ms": statistics.median(times),
                 "slowest_ms": max(times),
             }
         browser.close()
-    if arguments.json:
-        print(json.dumps(results, indent=2))
-        return
-    for name, r in results.items():
-        print(f"{name:<24} {r['kilobytes']:6.0f} kB, median {r['median_ms']:.0f} ms, slowest {r['slowest_ms']:.0f} ms")
+    columns = {"": False, "size (kB)": True, "median (ms)": True, "slowest (ms)": True}
+    rows = [[name, *(f"{figure:.0f}" for figure in result.values())] for name, result in results.items()]
+    report(given, results, {"replay": markdown_table(columns, rows)})
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
+import resource
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,14 @@ def arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
         "--update", type=Path, nargs="+", default=[], metavar="FILE", help="Markdown files whose tables are replaced"
     )
     return parser.parse_args()
+
+
+def children_seconds(run: Callable[[], object]) -> tuple[float, float]:
+    """Return s of wall time of a call, and s of processor time of the processes that it starts."""
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    run()
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def report(given: argparse.Namespace, figures: Any, tables: Mapping[str, Sequence[str]]) -> None:

@@ -1,6 +1,6 @@
 """Scaling of RLlib training with env runners: measured with one and two, simulated with more.
 
-Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md docs/cluster.md``). One
+Run ``python studies/speed/runners.py`` (``--json``, ``--update docs/performance.md docs/cluster.md``). One
 and two runners exist side by side and alternate round by round; figures are medians of rounds without the first. A
 round gathers a batch of turns and learns from it. The learning rate is so small that policies stay constant: learning
 policies would play other episodes (a manager that submits at once makes twenty times as many), which is other work. The
@@ -233,13 +233,11 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=2048, help="turns of a measured round")
     parser.add_argument("--share", type=int, default=2048, help="turns of each runner in a simulated round")
     parser.add_argument("--gigabits", type=float, default=10.0, help="a second, of the learner's network")
-    parser.add_argument("--quick", action="store_true", help="3 short rounds")
     given = arguments(parser)
     load = os.getloadavg()[0]
-    rounds, batch = (3, 512) if given.quick else (given.rounds, given.batch)
-    found = measure(given.scenario, rounds, batch)
+    found = measure(given.scenario, given.rounds, given.batch)
     # For the comparison, shares are those of the measured rounds, in which two runners together play as much as one.
-    halves = [simulate(found, n, batch // n, given.gigabits)["turns_a_second"] for n in RUNNERS[:2]]
+    halves = [simulate(found, n, given.batch // n, given.gigabits)["turns_a_second"] for n in RUNNERS[:2]]
     result = {
         "measured": found,
         "gathering_speedup": found["gathering_s"][1] / found["gathering_s"][2],
@@ -250,7 +248,7 @@ def main() -> None:
     }
     before = f"load average {load:.1f} before."
     tables = {
-        "runners": [*table(result), "", f"{rounds} rounds of {batch} turns; {before}"],
+        "runners": [*table(result), "", f"{given.rounds} rounds of {given.batch} turns; {before}"],
         "rllib-scaling": [*scaling_table(found["clock"]), "", f"{os.cpu_count()} cores; {before}"],
     }
     report(given, result, tables)

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -233,15 +232,6 @@ def test_after_the_first_round_the_learner_plays_and_all_rounds_are_learned_from
     imitation.imitate(model, task.batch(4), task.policy("scripted"), 800, 5, rounds=2)
     assert played == [(False, 400, 5), (True, 400, None)]
     assert fitted[1] > 1.4 * fitted[0] > 100
-
-
-def test_a_run_that_fails_before_its_first_checkpoint_can_be_repeated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("chemlab.agents.train.single.imitate", Mock(side_effect=ValueError("no clone")))
-    arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 1})
-    refused("no clone", train, arguments, tmp_path / "run")
-    assert Run(tmp_path / "run").config() is None, "another number of turns is not refused as other arguments"
 
 
 def test_turns_to_imitate_are_of_whole_episodes_and_counted_by_experiment() -> None:

@@ -218,7 +218,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
             assert episode.terminations.tolist() == [False] * (len(d.actions) - 1) + [True]
 
 
-def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
+def test_the_command(minari: Any, scripted: Path) -> None:
     arguments = ["export", "demos", str(scripted), "-o", "tests/command", "--agent", "manager_0"]
     (row,) = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     assert row["id"] == "tests/command/manager_0-v0"
@@ -230,9 +230,7 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     command(*arguments, "--force")
 
 
-def test_a_dataset_is_replaced_whole(
-    minari: Any, scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dataset_is_replaced_whole(minari: Any, scripted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = ["export", "demos", str(scripted), "-o", "tests/kept", "--agent", "manager_0", "--force"]
     command(*arguments)
     before = minari.load_dataset("tests/kept/manager_0-v0").total_steps

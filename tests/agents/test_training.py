@@ -327,7 +327,7 @@ def test_returns_of_a_bench_are_rows_of_goals() -> None:
         np.testing.assert_array_equal(task.returns(Picky(), 3, 50), rows)
 
 
-def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -> None:
+def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to() -> None:
     for arguments, start in ((small("sac"), 1.0), (small("sac", ent_coef_start=0.01), 0.01)):
         model: Any = _learner(arguments, ChemlabVecEnv(2, scenario="fictitious", bench="rxn"), 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
@@ -616,9 +616,14 @@ def test_a_mistyped_policy_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_a_run_without_a_checkpoint_does_not_hold_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever goes wrong there; one that was stopped by its user goes on."""
     run, values = Run(tmp_path / "run"), {**SMALL, "env_id": RXN, "algo": "ppo"}
-    for error, holds in ((RuntimeError("no memory"), False), (KeyboardInterrupt(), True)):
+    cases = (
+        (Agent, "begin", ValueError("no clone"), False),
+        (training, "train_in_rounds", RuntimeError("no memory"), False),
+        (training, "train_in_rounds", KeyboardInterrupt(), True),
+    )
+    for owner, name, error, holds in cases:
         with monkeypatch.context() as patch:
-            patch.setattr(training, "train_in_rounds", Mock(side_effect=error))
+            patch.setattr(owner, name, Mock(side_effect=error))
             with pytest.raises(type(error)):
                 train(training_arguments(values), run.path)
         assert run.config_file.exists() is holds

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import command, refused
+from helpers import command, limited, refused
 from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
@@ -176,7 +176,8 @@ def chemlab_trusting(words: list[object]) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of POSIX")
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path, in_time: None) -> None:
+@limited(120)
+def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path) -> None:
     """Any file of a run's folder as a pipe that nobody writes to, or as a link to a device without an end."""
     run = strangers / "manager"
     best = next(run.glob("checkpoints/best-*")).relative_to(run)

@@ -67,7 +67,7 @@ def test_ivoryos_finds_the_verbs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert list(found["measure"]["signature"].parameters) == ["self", "slot", "instrument", "turn"]
 
 
-def test_harbor_reads_the_task(tmp_path: Path) -> None:
+def test_harbor_reads_the_task() -> None:
     task = pytest.importorskip("tomllib").loads((HARBOR / "task.toml").read_text())
     (server,) = task["environment"]["mcp_servers"]
     compose = (HARBOR / "environment" / "docker-compose.yaml").read_text()

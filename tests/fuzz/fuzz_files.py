@@ -13,16 +13,15 @@ import copy
 import importlib.util
 import json
 import shutil
-import signal
 import tempfile
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from helpers import limited
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import record_episode
@@ -405,22 +404,6 @@ def play(scenario: Any, turns: int, seed: int, path: Path) -> None:
             recorder.turn([Play(env.possible_agents.index(agent), observation, mask, action)])
     found = verify_record(path if path.exists() else recorder.part)
     assert found.status in ("ok", "torn", "foreign"), f"an honest record is {found.status}: {found.message}"
-
-
-@contextmanager
-def limited(seconds: int) -> Iterator[None]:
-    """A TimeoutError after that long."""
-
-    def stop(*_: Any) -> None:
-        raise TimeoutError(f"took more than {seconds} s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def campaign(

@@ -353,7 +353,7 @@ def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
     assert {path.name for path in target.glob("*.png")} == drawn
 
 
-def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_traces_are_collected(tmp_path: Path) -> None:
     """Scripted policy and random actions are played on every bench; figures of actions then need the file alone."""
     only = {key: EXPERIMENTS[key] for key in ("fictitious_rxn", "wurtz_dit")}
     told: list[str] = []

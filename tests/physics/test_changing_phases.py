@@ -1,6 +1,5 @@
 """Melting, boiling and dissolving in one flask: at equilibrium, with the energy balance, however calls are divided."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -167,24 +166,6 @@ def test_a_reaction_file_may_name_materials_of_the_catalogue(tmp_path: Path) -> 
     flask.react(3600.0, 330.0)
     assert flask.amounts["methyl_acetate"] > 1.0
     assert flask.amounts["methyl_acetate"] == pytest.approx(flask.amounts["water"])
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda flask: flask.pour("cup", 0.5), "receiver: must be a Flask, given 'cup'"),
-        (lambda flask: flask.heat(1.0, stages=1.9), "stages: must be a whole number, given 1.9"),
-        (lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}), ".K2CO3. is a salt that is not in the catalogue"),
-    ],
-)
-def test_wrong_arguments_are_named(call: Callable[[Flask], object], message: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=message):
-        call(Flask({"water": 1.0}))
-
-
-def test_the_end_of_an_instrument_s_range_is_said() -> None:
-    assert str(Flask({"DCM": 40.0}, capacity_l=3.0).measure("balance")) == "2.000 kg or more, the end of its range"
-    assert str(Flask({"water": 1.0}).measure("balance")) == "0.018 kg"
 
 
 @pytest.mark.parametrize(
