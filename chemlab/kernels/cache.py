@@ -87,7 +87,7 @@ def told(name: str) -> Any:
     place = folder("chemlab")
     mark = place / f"{name}.compiled" if place is not None else None
     if mark is None or not mark.exists():
-        _say_once("compiling kernels for this machine (half a minute to a minute); later starts load them from the cache")
+        _say_once("compiling kernels for this machine (30 to 60 seconds); later starts load them from the cache")
     yield
     if mark is not None:
         with contextlib.suppress(OSError):

@@ -173,11 +173,11 @@ def _forms(names: tuple[str, str], materials: Materials) -> Iterator[tuple[Model
     """Yield the forms of UNIFAC that have all groups and interactions of two materials, and the groups in each."""
     forms = models()
     groups_of = [_named_groups(name, materials, forms[0]) for name in names]
-    for found in groups_of if "water" in names else ():
-        if found and found <= APOLAR:
-            best = "modified UNIFAC 2.0" if "ACCL" in found else "UNIFAC"
+    for names_of in groups_of if "water" in names else ():
+        if names_of and names_of <= APOLAR:
+            best = "modified UNIFAC 2.0" if "ACCL" in names_of else "UNIFAC"
             forms = sorted(forms, key=lambda form: form.name != best)
-    if any(found & CARBONATES for found in groups_of):
+    if any(names_of & CARBONATES for names_of in groups_of):
         forms = sorted(forms, key=lambda form: form.name == "UNIFAC")
     for form in forms:
         groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
