@@ -133,9 +133,9 @@ class Agent(Trainee):
             forget_replay(run)
             self.model, begun = _learner(a, self.venv, self.steps), time.perf_counter()
             if isinstance(a, OnPolicy) and a.cloned is not None:
-                teacher, hinted = task.policy(a.cloned, a.seed), self._hints is not None
-                own = a.bc_steps, a.seed, hinted, a.bc_rounds, getattr(a, "bc_std", LEAST_STD)
-                imitate(self.model, task.batch(a.envs), teacher, *own)
+                batch, teacher = task.batch(a.envs), task.policy(a.cloned, a.seed)
+                hinted, least_std = self._hints is not None, getattr(a, "bc_std", LEAST_STD)
+                imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, least_std)
             progress.seconds = time.perf_counter() - begun
         if not progress.step:
             self.venv.seed(training_seeds(a.seed, a.envs))

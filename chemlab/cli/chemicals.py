@@ -224,8 +224,8 @@ def _show_materials(tables: dict[str, Any], compounds: Sequence[Compound]) -> No
     estimated = estimates(tables)
     rows = []
     for key, t in tables.items():
-        boils, estimates_of = f"{t['boiling_point_k']:.1f}", ", ".join(estimated[key]) or "none"
-        rows.append((key, _identify(compounds, key), t["formula"], t["role"], boils, estimates_of))
+        boils, listed = f"{t['boiling_point_k']:.1f}", ", ".join(estimated[key]) or "none"
+        rows.append((key, _identify(compounds, key), t["formula"], t["role"], boils, listed))
     if rows:
         head = ("material", "compound, CAS number", "formula", "role", "boils (K)", "estimates")
         show_table("", head, rows, right=(4,))

@@ -423,7 +423,7 @@ class Worlds:
     def device_streams(self, members: IntArray, device: int) -> StreamArray:
         """Return [B] initial random streams of a bench or instrument in the worlds of ``members`` [B].
 
-        The numbers of ``device`` are from 0 on for benches, from -2 down for instruments; -1 is the world's own stream.
+        ``device`` is 0, 1, ... for benches and -2, -3, ... for instruments; -1 would be the world's own stream.
         """
         apart = np.uint64((_APART * (1 + device)) % 2**64)
         return np.asarray(self.table.arrays.number[members, 0] + apart)

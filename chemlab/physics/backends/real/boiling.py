@@ -33,10 +33,10 @@ _SAME_IONS = 1e-6
 """Relative change of the ions, by salts that dissolve on warming, below which the boiling point is the same."""
 _MANTLE_K = 0.05
 """Allowed difference in K between the mantle's temperature and the boiling point at which boiling ends."""
-_JUMP_K, _SHORTEST = 2.0, 0.2
-"""Allowed rise in K of the boiling point in a step of two layers, of which one may boil away; minimum share to which
-an attempt shortens a step.
-"""
+_JUMP_K = 2.0
+"""Maximum rise in K of the boiling point in a step that begins with two layers, of which one may boil away."""
+_LEAST_PART = 0.2
+"""Minimum part of a step that a shorter attempt keeps."""
 _TRIFLE = 2e-3
 """Share of the heat that may remain unused at the end by boiling contents."""
 
@@ -90,6 +90,10 @@ def _boil(
         if 0.0 < liquids.share[a] < 1.0:
             jump = _JUMP_K
     for attempt in range(_MOST_ATTEMPTS):
+        if attempt > 0:
+            for a in range(n):
+                liquids.mol[a] = before[a]
+            bubble_point(n, ambient, boiling, chem, block, partial)
         price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, block)
         mol = min(mol, left / price)
         if still.trays > 0:
@@ -108,10 +112,7 @@ def _boil(
             climb = bubble_point(n, ambient, warmer, chem, block, partial) - boiling
             # Less boils off until the boiling point is that of the mantle, or until a layer has boiled away.
             if climb > min(room + _MANTLE_K, jump):
-                mol *= max(min(room, jump) / climb, _SHORTEST)
-                for a in range(n):
-                    liquids.mol[a] = before[a]
-                bubble_point(n, ambient, boiling, chem, block, partial)
+                mol *= max(min(room, jump) / climb, _LEAST_PART)
                 continue
         rise = max(min(2.0 * (warmer - boiling), room), 0.0)
         spent, warming = 0.0, rise * heat_capacity(row, chem)
@@ -124,9 +125,6 @@ def _boil(
         if spent + warming <= left * (1.0 + 1e-12) or attempt == _MOST_ATTEMPTS - 1:
             break
         mol *= _SHORT * left / (spent + warming)
-        for a in range(n):
-            liquids.mol[a] = before[a]
-        bubble_point(n, ambient, boiling, chem, block, partial)
     taken = spent
     for a in range(n):
         capacity = chemistry.heat_capacity[int(liquids.who[a])]

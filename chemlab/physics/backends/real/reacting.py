@@ -61,8 +61,10 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
 
 @inner
 def _boils_above(row: FloatArray, jacket: float, chem: Handle) -> float:
-    """Return a temperature (K) up to which the contents do not boil: one just above theirs and the jacket's, from
-    their pressure there, or their boiling point.
+    """Return a temperature (K) below which the contents do not boil.
+
+    It is just above their own and the jacket's if their vapour pressure there is below ambient pressure. Otherwise it
+    is their boiling point.
     """
     at = row[TEMPERATURE]
     row[TEMPERATURE] = max(at, jacket) + _ABOVE_K
