@@ -42,7 +42,7 @@ def verify(
     trust: TrustOption = False,
     split: Annotated[
         str | None,
-        typer.Option(help="The split that a record must be of; private:SALT also proves that its world is its seed's."),
+        typer.Option(help="Required split of a record. private:SALT also proves that its world follows from its seed."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -298,7 +298,8 @@ class SafetySpec(DataModel):
 class RewardSpec(DataModel):
     """Each agent's reward = local * own + team * the manager's result.
 
-    Penalties of a bench's agent are subtracted from its reward in full. A scenario gives the numbers, or the name of one of :data:`REWARD_MIXES`.
+    Penalties of a bench's agent are subtracted from its reward in full. A scenario gives the numbers, or the name
+    of one of :data:`REWARD_MIXES`.
     """
 
     bench_local: Share = 1.0
