@@ -658,7 +658,7 @@ class Flask:
         row, target = self._row, collecting._row
         before, spilled = target[self._columns].copy(), self._events[SPILL]
         overflow = np.zeros_like(self._shelf.waste[0])
-        taken, condensed = backends.heat(row, target, joules, limits, self._chem, overflow, self._events)
+        taken, condensed = backends.heat(row, target, joules, limits, self._chem, overflow, self._events, self._work)
         self._joules += float(taken)
         self._set_head(target[self._columns] + overflow - before, stages)
         # What overflows is lost by the receiver, as when it is poured.
@@ -681,7 +681,8 @@ class Flask:
         """
         limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
         offered = -_number("joules", joules, 0.0, _MOST_JOULES)
-        taken, _ = backends.heat(self._row, self._row, offered, limits, self._chem, self._shelf.waste[0], self._events)
+        waste, events = self._shelf.waste[0], self._events
+        taken, _ = backends.heat(self._row, self._row, offered, limits, self._chem, waste, events, self._work)
         self._joules += float(taken)
         self._equilibrate()
         return abs(float(taken))

@@ -399,7 +399,7 @@ class Glassware:
         """Heat or cool; returns (heat that went in, heat the condenser took), J."""
         row, receiver = self.rows[source], self.rows[target]
         limits = np.array([hottest_k, coolest_k, 1.0, 0.0])
-        result: Any = heat(row, receiver, float(joules), limits, self.chem, self.waste, self.events)
+        result: Any = heat(row, receiver, float(joules), limits, self.chem, self.waste, self.events, self._scratch)
         return float(result[0]), float(result[1])
 
     def check(self) -> None:

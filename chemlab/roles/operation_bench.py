@@ -155,6 +155,7 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
         state.profile[m, vessel],
         rules.limits,
         int(rules.parts[state.goal[m], 0]),
+        rules.work,
         rules.limits[:0],
     )
 

@@ -57,6 +57,8 @@ class Turn(NamedTuple):
     """
     goal: int
     """index of the goal of the experiment"""
+    work: FloatArray
+    """scratch of the physics"""
     numbers: FloatArray
     """result of :attr:`Operation.numbers`"""
 
@@ -158,7 +160,7 @@ def _settle(turn: Turn, chem: Handle) -> float:
 @inner
 def _heat(turn: Turn, chem: Handle) -> float:
     """Heat or cool; vapour condenses into the target."""
-    laws.heat(turn.row, turn.target, 1000.0 * turn.magnitude, turn.limits, chem, turn.waste, turn.events)
+    laws.heat(turn.row, turn.target, 1000.0 * turn.magnitude, turn.limits, chem, turn.waste, turn.events, turn.work)
     return 0.0
 
 

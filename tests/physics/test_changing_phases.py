@@ -260,8 +260,9 @@ def test_a_closed_flask_loses_nothing_whatever_is_dissolved(contents: dict[str, 
     [
         ({"acetone": 5.0, "water": 5.0}, 360.0, "water", 1.24, 0.03),
         ({"toluene": 5.0, "water": 1.0}, 370.0, "toluene", 0.8, 0.1),
+        ({"acetic_acid": 3.0, "water": 3.0}, 385.0, "acetic_acid", 2.45, 0.001),
     ],
-    ids=["one liquid", "two layers"],
+    ids=["one liquid", "two layers", "weak acid"],
 )
 def test_a_mantle_boils_contents_up_to_its_own_temperature(
     contents: dict[str, float], kelvin: float, name: str, lost: float, near: float, calls: int

@@ -88,7 +88,7 @@ class Glass:
     def heat(self, joules: float, stages: int = 1, reflux: float = 0.0) -> tuple[float, float]:
         """Boil vessel 0 into vessel 1."""
         limits = np.array([850.0, 250.0, stages, reflux])
-        made: Any = laws.heat(self.rows[0], self.rows[1], joules, limits, self.chem, self.waste, self.events)
+        made: Any = laws.heat(*self.rows[:2], joules, limits, self.chem, self.waste, self.events, self.work)
         return float(made[0]), float(made[1])
 
 
@@ -362,7 +362,8 @@ def test_random_operations_keep_atoms_and_energy() -> None:
             elif kind == 2:
                 limits = np.array([800.0, 250.0, rng.integers(1, 5), 1.0])
                 vessels = row, glass.rows[other]
-                made: Any = laws.heat(*vessels, rng.normal(0, 3e4), limits, glass.chem, glass.waste, glass.events)
+                drawn, spoiled = rng.normal(0, 3e4), (glass.waste, glass.events)
+                made: Any = laws.heat(*vessels, drawn, limits, glass.chem, *spoiled, glass.work)
                 balance = float(made[0] - made[1])
             elif kind == 3:
                 laws.elapse(row, rng.uniform(0, 5), glass.chem, glass.waste, glass.events, glass.work)

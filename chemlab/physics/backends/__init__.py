@@ -173,6 +173,7 @@ def heat(
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
+    work: FloatArray,
 ) -> tuple[float, float]:
     """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature.
 
@@ -185,12 +186,13 @@ def heat(
         chem: the chemistry.
         waste: [M] mol, receives the overflow of the receiver.
         events: safety events row.
+        work: scratch.
 
     Returns:
         (absorbed heat, heat removed by the condenser) in J. Heat in = change of (sum n Cp + air) (T - ambient)
         over both vessels + heat to the condenser, as long as nothing spills.
     """
-    return _call("heat", chem, (row, receiver, joules, limits, chem, waste, events))
+    return _call("heat", chem, (row, receiver, joules, limits, chem, waste, events, work))
 
 
 @_law

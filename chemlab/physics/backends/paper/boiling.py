@@ -20,6 +20,7 @@ def heat(
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
+    work: FloatArray,
 ) -> tuple[float, float]:
     """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature.
 

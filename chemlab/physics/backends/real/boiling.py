@@ -15,6 +15,7 @@ from ...chemistry import TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity, within_range
+from .acids import ionizes, settle_acids
 from .column import LADDER, MOST_STAGES, overhead
 from .heats import add_heat, enthalpy, set_enthalpy
 from .liquids import clear_liquids, count_ions, gather, liquids_in, on_curve
@@ -197,6 +198,7 @@ def heat(
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
+    work: FloatArray,
 ) -> tuple[float, float]:
     """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature."""
     chemistry = opened(RealChemistry, chem)
@@ -276,6 +278,10 @@ def heat(
         if capacity <= LEAST_CAPACITY:
             dry = True
             break
+        if ionizes(chem):
+            settle_acids(row, chem, work)
+            condenser += _collect(receiver, n, distilled, chem, block, waste, events)
+            n = gather(row, chem, block)
         if let_salts_fall_out(row, chem):
             count_ions(row, chem, block)
     if boiled:
