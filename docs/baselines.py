@@ -137,16 +137,13 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         own.parent.mkdir(parents=True, exist_ok=True)
         write_text(own, LEADERBOARD.read_text(encoding="utf-8"))
     for scenario in scenarios:
-        finished = [
-            str(run.path.relative_to(results))
-            for folder in sorted(results.glob(f"{scenario}-*/*"))
-            if has_row(folder)
-            for run in find_runs(folder)
-            if run.result() is not None
-        ]
+        finished, first = [], []
+        for folder in filter(has_row, sorted(results.glob(f"{scenario}-*/*"))):
+            runs = [str(run.path.relative_to(results)) for run in find_runs(folder) if run.result() is not None]
+            finished += runs
+            first += runs[:1]
         policies = [word for name in ("scripted", *finished) for word in ("--policy", name)]
         _chemlab(results, "benchmark", scenario, *policies, "--budget", budget, "--records", "0", "--out", "benchmark")
-        first = [name for name in finished if name.endswith("seed-0")]
         managers = [name for name in first if "/benches/" not in name]
         benches = [name for name in first if "/benches/" in name or "/team/" in name]
         if managers and benches:
