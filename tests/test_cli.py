@@ -26,7 +26,7 @@ from run_files import write_run
 from typer.testing import CliRunner
 
 import chemlab.scenarios
-from chemlab import __version__
+from chemlab import __main__, __version__
 from chemlab.cli import PANELS, app, screen, training
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
@@ -185,6 +185,16 @@ def test_version() -> None:
     assert command("--version") == __version__
     module = subprocess.run([sys.executable, "-m", "chemlab", "--version"], capture_output=True, text=True, check=True)
     assert module.stdout.strip() == __version__
+
+
+def test_an_interruption_while_modules_load_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loading = type("Loading", (), {"main": property(Mock(side_effect=KeyboardInterrupt))})
+    monkeypatch.setitem(sys.modules, "chemlab.cli", loading())
+    with pytest.raises(SystemExit, match="130"):
+        __main__.main()
+    assert capsys.readouterr().err == "stopped\n"
 
 
 # -- text is text -----------------------------------------------------------------------------------------------------
