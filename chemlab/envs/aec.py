@@ -35,7 +35,7 @@ score), and for each order `goals` (index into the scenario's goals), `submitted
 submission). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.named_costs` return them by name.
 
 ### State
-`state()` is the complete true state in [0, 1], for centralised critics in training; `state_channels` names its parts
+`state()` is the complete true state in [0, 1], for centralized critics in training; `state_channels` names its parts
 (:mod:`chemlab.envs.global_state`).
 
 ### Arguments
