@@ -1,4 +1,4 @@
-"""Multi-agent learning: every role at once, with separate or centralised critics.
+"""Multi-agent learning: every role at once, with separate or centralized critics.
 
 Manager, reaction bench and distillation bench of `wurtz_dodecane_direct` learn together; half of each reward is the
 agent's own and half the laboratory's result. All start as clones of the scripted agents, because learners from scratch

@@ -127,6 +127,7 @@ MISTAKES = {
     "audit unlabelled --budget huge": ["budget: known: small, full; given 'huge'"],
     "audit plan salt_from_oil --budget some": ["--budget"],
     "benchmark unlabelled --budget huge --out parts": ["budget: known: small, full; given 'huge'"],
+    "benchmark unlabelled --baseline clever --out parts": ["policies: clever: policy: must be one of scripted"],
     "plot runs . --out pages": ["contains no training runs; give"],
     # A group without the name of a kind stands for its first.
     "audit no_such": ["no_such"],

@@ -9,7 +9,7 @@
 ...     model_config=MlpConfig.get_from_yaml(), seed=0, config=ExperimentConfig.get_from_yaml(),
 ... ).run()
 
-All actions are discrete (the manager's always are). Only a centralised critic observes the true state.
+All actions are discrete (the manager's always are). Only a centralized critic observes the true state.
 BenchMARL does not distinguish steps without a turn; in these the agent has a single legal action, a no-op, which
 contributes no gradient.
 
@@ -38,7 +38,7 @@ class ChemlabTask(TaskClass):
     """A laboratory as a BenchMARL task.
 
     ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``, ``rewards``,
-    ``split``, ``roles``, ``background``, and ``state`` (False: a centralised critic observes the observations of its
+    ``split``, ``roles``, ``background``, and ``state`` (False: a centralized critic observes the observations of its
     group).
     """
 

@@ -212,4 +212,4 @@ def _check_algorithm(algo: str, discrete: bool) -> None:
         fitting = ", ".join(name for name, kind in ALGORITHMS.items() if issubclass(kind, Single) and name not in unfit)
         kind = "discrete" if discrete else "continuous"
         advice = "" if discrete else f", or with --actions discrete {' or '.join(unfit)}"
-        raise ValueError(f"algo: this bench's actions are {kind}: {fitting}{advice}; given {algo!r}")
+        raise ValueError(f"algo: the actions are {kind}; choose from {fitting}{advice}; given {algo!r}")

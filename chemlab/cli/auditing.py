@@ -104,7 +104,7 @@ def plan(
         typer.Option(callback=current_policy, help="Policy of the benches, named as for `chemlab run`."),
     ] = "scripted",
     budget: Annotated[int, typer.Option(help="Maximum number of plans tried.")] = 10_000,
-    seed: SeedOption = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     episodes: EpisodesOption = 100,
     output: Annotated[
         Path | None,

@@ -67,8 +67,7 @@ def benchmark(
     always = protocol.REFERENCES
     names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
     rows = protocol.find_rows([name for name in names if name not in always])
-    if policy:
-        protocol.check_rows(specs, rows)
+    protocol.check_rows(specs, [row for row in rows if policy or row.name == baseline])
     check_folder(output)
     leaderboard_lines(output / "leaderboard.json")  # validated before anything is played
     with resumable(output), counting() as progress, executor(address, processes) as jobs:

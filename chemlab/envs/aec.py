@@ -1,17 +1,17 @@
 """The laboratory: a PettingZoo AEC environment of a manager and its benches around a shared shelf of vessels.
 
-| Import | `from chemlab.laboratory import env, raw_env` |
+| Import | `from chemlab import env, raw_env` |
 |---|---|
 | Agents | `manager_0`, then the scenario's benches: `rxn_0`, `ext_0`, `dit_0`, ... |
-| Actions | manager, ext, dit: `Discrete`; rxn: `Box(0, 1)` |
+| Actions | rxn: `Box(0, 1)`; all others: `Discrete` |
 | Observations | flat float32 `Box(0, 1)`; shapes follow the scenario |
 | Masks | `info["action_mask"]` of every agent with discrete actions, on its turn |
 | Parallel API | `parallel_env`, natively: see `chemlab.envs.parallel` |
 
 ### Turn order
-The manager has the turn at the start, whenever an experiment has just ended, and after each of its own actions except
-`wait`. `wait` hands over: ticks run, in each of which every busy bench has one turn in a fixed order, until at least
-one experiment ends. Idle benches have no turn.
+The manager has the turn at the start, when an experiment or a repair has ended, when an order has arrived, and after
+each of its own actions except `wait`; while all benches are idle, also at the deadline of an order. `wait` lets ticks
+pass until then. In each tick, every busy bench has one turn in a fixed order. Idle benches have no turn.
 
 ### Rewards
 A bench earns the score of its experiment at its end (see its class for the formula). The manager earns, at `submit`,
@@ -35,7 +35,7 @@ score), and for each order `goals` (index into the scenario's goals), `submitted
 submission). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.named_costs` return them by name.
 
 ### State
-`state()` is the complete true state in [0, 1], for centralised critics in training; `state_channels` names its parts
+`state()` is the complete true state in [0, 1], for centralized critics in training; `state_channels` names its parts
 (:mod:`chemlab.envs.global_state`).
 
 ### Arguments

@@ -1,4 +1,4 @@
-"""``state()`` of the environments: the whole laboratory as one vector, for centralised critics.
+"""``state()`` of the environments: the whole laboratory as one vector, for centralized critics.
 
 It is everything that the rest of an episode depends on, but for the random streams: the true contents of every vessel,
 bottle and waste can, and the state of every role (:meth:`chemlab.roles.base.Role.state`), with the arrays that a bench

@@ -1,17 +1,17 @@
 """The laboratory as a PettingZoo parallel environment: a step is one manager action or one tick.
 
-| Import | `from chemlab.laboratory import parallel_env` |
+| Import | `from chemlab import parallel_env` |
 |---|---|
 | Agents, observations, actions | as in AEC (see `chemlab.envs.aec`) |
 | Masks | `info["action_mask"]` of every agent with discrete actions, always |
 
 ### Turns
 Every agent is present in every step. While the manager has the turn, a step is its action. After its `wait`,
-every step is one tick, in which every busy bench acts in the scenario's order, until an experiment ends. An agent
-without the turn (`info["has_turn"]` is False) has a mask with one action only, `wait` for the manager and `end` for a
-bench; its action is ignored and may be omitted. The dynamics are those of the AEC environment: equal actions give equal
-rewards and states. Masks refer to the beginning of the tick: an action that another bench makes impossible in the same
-tick (by taking the last of a bottle) is invalid.
+every step is one tick, in which every busy bench acts in the scenario's order, until the manager has the turn again. An
+agent without the turn (`info["has_turn"]` is False) has a mask with one action only, `wait` for the manager and `end`
+for a bench; its action is ignored and may be omitted. The dynamics are those of the AEC environment: equal actions give
+equal rewards and states. Masks refer to the beginning of the tick: an action that another bench makes impossible in the
+same tick (by taking the last of a bottle) is invalid.
 
 ### Infos
 As in AEC for the step, and `has_turn` (in the next one). `elapsed_ticks` is the number of ticks since the

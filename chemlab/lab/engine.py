@@ -378,7 +378,10 @@ class Laboratories:
         known = [*self.scenario.benches, SUBMIT]
         unknown = [stage for stage in shares if stage not in known]
         if unknown or not (min(shares.values()) >= 0.0 and sum(shares.values()) <= 1.0 + 1e-9):
-            raise ValueError(f"prepare: shares of {', '.join(known)} must sum to at most 1; given {dict(shares)}")
+            raise ValueError(
+                f"shares of {', '.join(known)}, and no others, must be at least 0 and sum to at most 1; "
+                f"given {dict(shares)}"
+            )
         pools = []
         for stage in shares:
             pool = start_pool(self.shelf.chemistry, self.scenario, lab_starts(self.scenario, stage))

@@ -153,7 +153,7 @@ def test_stages_that_are_not_understood(tmp_path: Path) -> None:
     bench = training_arguments({"scenario": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
     refused("curriculum: is for a laboratory", train, bench, tmp_path / "run")
     late = training_arguments({**SMALL, "curriculum": ["100: dit=1", "200: oven=1"]})
-    refused("prepare: shares of rxn, ext, dit, submit", train, late, tmp_path / "run")
+    refused("^shares of rxn, ext, dit, submit, and no others", train, late, tmp_path / "run")
     assert not (tmp_path / "run").exists(), "a later stage is checked before training"
 
 

@@ -612,7 +612,7 @@ def test_arguments_that_do_not_fit_the_bench(tmp_path: Path) -> None:
         ({"env_id": "chemlab/WurtzReaction-v0", "scenario": "fictitious"}, "has 'wurtz_dodecane'"),
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),
-        ({"bench": "dit", "algo": "sac"}, "actions are discrete"),
+        ({"bench": "dit", "algo": "sac"}, "algo: the actions are discrete; choose from ppo"),
         (agent, "reset for each experiment"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -161,7 +161,7 @@ def _critic_inputs(experiment: Any, group: str) -> int:
     return int(weights[0].shape[-1])
 
 
-def test_a_centralised_critic_sees_more_than_its_agents(tmp_path: Path) -> None:
+def test_a_centralized_critic_sees_more_than_its_agents(tmp_path: Path) -> None:
     """MAPPO on the state, on what a group sees, and IPPO: with one agent a role the last two are the same algorithm."""
     state = _trained("Mappo", tmp_path)
     blind = _trained("Mappo", tmp_path, state=False)
