@@ -210,11 +210,13 @@ class PretrainedPolicy(Remembering):
             shapes |= {f"{i}.weight": (sizes[i + 1], sizes[i]), f"{i}.bias": (sizes[i + 1],)}
         for name, shape in shapes.items():
             given = weights[name]
-            if given.shape != shape or given.dtype.kind != "f" or not np.isfinite(given).all():
+            if given.shape != shape or given.dtype.kind != "f":
                 raise ValueError(
-                    f"{card.name}: {name}: must be finite numbers of shape {shape}, given {given.shape}: "
+                    f"{card.name}: {name}: must be numbers of shape {shape}, given {given.dtype} of {given.shape}: "
                     "the card and the weights do not belong together"
                 )
+            if not np.isfinite(given).all():
+                raise ValueError(f"{card.name}: {name}: must be finite: training diverged; give a lower learning_rate")
         self._lstm = [weights[name].astype(np.float64) for name in LSTM] if hidden else []
         self._memory = Memory(hidden, hidden)
         self._layers = [

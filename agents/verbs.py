@@ -16,7 +16,6 @@ import numpy as np
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.operation_bench import OperationBench
-from chemlab.roles.operations import OPERATIONS
 
 from .roles import action_size
 
@@ -247,11 +246,11 @@ def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[
     rows: dict[str, dict[tuple[Any, ...], int]] = {}
     units: dict[str, str] = {}
     actions = [(process, magnitude) for process in bench.options.process for magnitude in process.magnitudes]
-    for index, ((process, magnitude), words) in enumerate(zip(actions, bench.action_meanings, strict=False)):
+    for index, (process, magnitude) in enumerate(actions):
         kind = process.kind.rpartition(":")[2].lower()
         material = process.material and name(process.material)
         rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:.15g}"] = index
-        units[kind] = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
+        units[kind] = bench.units[process.kind]
     verbs = [_operation_verb(kind, table, units[kind]) for kind, table in rows.items()]
     return [*verbs, Verb("end", "End the experiment.", (), lambda given: bench.end_action)]
 

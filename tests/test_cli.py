@@ -26,7 +26,7 @@ from run_files import write_run
 from typer.testing import CliRunner
 
 import chemlab.scenarios
-from chemlab import __version__
+from chemlab import __main__, __version__
 from chemlab.cli import PANELS, app, screen, training
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
@@ -187,6 +187,16 @@ def test_version() -> None:
     assert module.stdout.strip() == __version__
 
 
+def test_an_interruption_while_modules_load_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loading = type("Loading", (), {"main": property(Mock(side_effect=KeyboardInterrupt))})
+    monkeypatch.setitem(sys.modules, "chemlab.cli", loading())
+    with pytest.raises(SystemExit, match="130"):
+        __main__.main()
+    assert capsys.readouterr().err == "stopped\n"
+
+
 # -- text is text -----------------------------------------------------------------------------------------------------
 
 HOSTILE = "0.1 [mol] of [/bold] [red]tape[/red] :smile: \u202eback C:\\"
@@ -302,7 +312,8 @@ def test_a_table_has_its_cells_in_their_columns(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("name", FEATURED)
 def test_a_scenario_is_described_as_it_is(name: str) -> None:
     """Observations index by index without a gap, actions by number: those of the laboratory itself."""
-    told, labs = json.loads(command("describe", name, "--json")), Laboratories(name)
+    labs = Laboratories(name)  # first: it may say that it compiles
+    told = json.loads(command("describe", name, "--json"))
     only = json.loads(command("describe", name, "--agent", "manager", "--json"))["agents"]
     assert only == {"manager_0": told["agents"]["manager_0"]}
     assert list(told["agents"]) == labs.agents

@@ -69,7 +69,10 @@ def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: 
         if kept:
             copy = run.checkpoints / f"new-{kind}-{step}"
             shutil.rmtree(copy, ignore_errors=True)
-            shutil.copytree(draft, copy, ignore=shutil.ignore_patterns("state.pkl*", "*.jsonl"))
+            copy.mkdir()
+            for file in draft.iterdir():
+                if file.suffix != ".jsonl" and not file.name.startswith("state.pkl"):
+                    shutil.copyfile(file, copy / file.name)
             _renamed(copy, run.checkpoints / f"{kind}-{step}")
     _renamed(draft, run.checkpoints / f"last-{step}")
     tidy(run, step, best_step)

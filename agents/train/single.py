@@ -143,15 +143,27 @@ class Agent(Trainee):
         return progress
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`; initial states are those of the curriculum's stage."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`; initial states are those of the curriculum's stage.
+
+        Raises:
+            ArithmeticError: the network's weights or outputs are no longer finite.
+        """
         stage = next((stage for stage in self._stages if progress.step < stage.until), None)
         if stage != self._stage:
             self._task.prepare(self.venv.batch, None if stage is None else stage.shares)
             self._stage = stage
         episodes, first = _EpisodeReturns(self.steps), not progress.step
         self.model.set_logger(self.logger)
-        # The training loop writes the log between rounds.
-        self.model.learn(self._rollout, episodes, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
+        try:
+            # The training loop writes the log between rounds.
+            self.model.learn(self._rollout, episodes, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
+            diverged = any(not weights.isfinite().all() for weights in self.model.policy.parameters())
+        except ValueError as error:  # PyTorch's own message contains whole tensors
+            diverged = "Expected parameter" in str(error)
+            if not diverged:
+                raise
+        if diverged:
+            raise ArithmeticError("training diverged; give a lower learning_rate, and another --out")
         return self._rollout, episodes.returns
 
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:

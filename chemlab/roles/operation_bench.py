@@ -323,6 +323,8 @@ class OperationBench(Bench):
         self._numbers: list[FloatArray] = []
         self._own_actions: list[tuple[int, int]] = []
         """first and last + 1 of the actions of every user-defined process"""
+        self.units: dict[str, str] = {}
+        """unit of the magnitudes by kind of process"""
         self.table, self._meanings = self._build_table(options.process)
         ranges = [[options.coolest_k, options.hottest_k], [0.0, self.auxiliary_capacity_l]]
         ranges += [[0.0, scenario.ambient_pressure_kpa], [0.0, 1.0]]
@@ -376,6 +378,7 @@ class OperationBench(Bench):
         for i, process in enumerate(processes):
             where = f"{self.scenario.origin}: benches.{self.key}.process.{i}"
             number, operation = self._operation(process, where)
+            self.units[process.kind] = operation.unit
             for position in (process.vessel, process.target):
                 if position is not None and position not in self.positions:
                     raise DataError(f"{where}: unknown vessel {position!r}; this bench has {', '.join(self.positions)}")
@@ -401,7 +404,8 @@ class OperationBench(Bench):
                 words = operation.words if magnitude > 0.0 else operation.negative or ""
                 with blamed(f"{where}: {process.kind}: words may have {{vessel}}, {{target}} and {{material}}"):
                     what = words.format(vessel=process.vessel, target=process.target, material=process.material)
-                meanings.append(f"{what}, {abs(magnitude):g} {operation.unit}")
+                size, unit = (100.0 * magnitude, "%") if operation.unit == "fraction" else (magnitude, operation.unit)
+                meanings.append(f"{what}, {abs(size):g} {unit}")
         rows.append((END, 0, 0, -1, 0.0, 0.0))
         return np.array(rows, dtype=np.float64).reshape(-1, _COLUMNS), [*meanings, "end the experiment"]
 

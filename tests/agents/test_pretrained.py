@@ -299,6 +299,9 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:
     refused("no such card", load_pretrained, "nothing")
+    made = made_up(bench_of(RXN))
+    diverged = {**made.weights, "0.bias": np.full_like(made.weights["0.bias"], np.nan)}
+    refused("0.bias: must be finite: training diverged", PretrainedPolicy, made.card, diverged)
     ship(made_up(bench_of(DIT)), tmp_path, "a")
     file = tmp_path / "a.safetensors"
     file.write_bytes(file.read_bytes()[:-5])

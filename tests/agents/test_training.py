@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -45,6 +46,7 @@ from chemlab.agents.train.arguments import (
     load_arguments,
     training_arguments,
 )
+from chemlab.agents.train.checkpoints import commit_checkpoint
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.single import Agent, _learner
@@ -207,6 +209,19 @@ def test_tensorboard_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", FULL, tmp_path], capture_output=True, text=True, check=True)
     assert done.stdout == f"[Errno {errno.EFBIG}] {os.strerror(errno.EFBIG)}: '{tmp_path / 'tensorboard'}'\n"
     assert "Traceback" not in done.stderr
+
+
+def test_a_checkpoint_on_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "copyfile", Mock(side_effect=OSError(errno.ENOSPC, "full", "x")))
+    with pytest.raises(OSError, match=r"^\[Errno \d+\] full: 'x'$"):
+        commit_checkpoint(Run(tmp_path), 1, lambda folder: (folder / "x").touch(), True, 1)
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac", "td3"])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_divergence_is_one_line(algo: str, tmp_path: Path) -> None:
+    with pytest.raises(ArithmeticError, match=r"^training diverged; give a lower learning_rate, and another --out$"):
+        train(small(algo, learning_rate=1e6), tmp_path / "run")
 
 
 def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -490,11 +505,11 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     **dict.fromkeys(("free_readings", "exploration_final"), (-0.1, 1.1, NAN)),
     **dict.fromkeys(("action_noise", "self_imitation"), (-0.1, NAN, INFINITY)),
     "seed": (-1, 2**32),
-    "learning_rate": (0.0, -1e-3, NAN, INFINITY),
+    "learning_rate": (0.0, -1e-3, 1e300, NAN, INFINITY),
     "gae_lambda": (-1.0, 1.01, NAN),
-    "ent_coef": (-0.01, NAN, INFINITY),
+    "ent_coef": (-0.01, 1e300, NAN, INFINITY),
     "ent_coef_start": (0.0, -1.0, NAN, INFINITY),
-    "clip_range": (0.0, -0.2, NAN, INFINITY),
+    "clip_range": (0.0, -0.2, 1e300, NAN, INFINITY),
     "batch_size": (1, 0, -5),
     "bc_std": (0.0, -0.1, 1.5, NAN, INFINITY),
     "learning_starts": (-1,),

@@ -103,10 +103,10 @@ def test_what_is_impossible_is_masked() -> None:
             break
         do(batch, "filter CV -> F, 1")
     legal = dict(zip(batch.bench.action_meanings, batch.mask()[0], strict=True))
-    assert not legal["filter CV -> F, 1 fraction"]  # what is left stays in the cake
-    assert not legal["filter CV -> W, 1 fraction"]
+    assert not legal["filter CV -> F, 100 %"]  # what is left stays in the cake
+    assert not legal["filter CV -> W, 100 %"]
     assert legal["dry CV, 20 L of air"]
-    assert legal["pour F -> CV, 1 fraction"]
+    assert legal["pour F -> CV, 100 %"]
 
 
 def test_the_score_is_the_gain_of_amount_times_absolute_purity() -> None:

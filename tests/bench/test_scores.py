@@ -192,7 +192,7 @@ def best_fixed_sequence(scenario: str, goal: str, contents: dict[str, float]) ->
     batch = ExperimentBatch(scenario, "dit", len(plans))
     bench = batch.bench
     assert isinstance(bench, OperationBench)
-    swap = bench.action_meanings.index("pour B1 -> B2, 1 fraction")
+    swap = bench.action_meanings.index("pour B1 -> B2, 100 %")
     sequences: Sequence[list[int]] = [
         coins(bench, first) + ([] if more is None else [swap, *coins(bench, more)]) for first, more in plans
     ]

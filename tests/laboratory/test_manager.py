@@ -99,7 +99,7 @@ def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None
     manager(env, "start", "ext_0", 1, "dodecane")
     assert occupied(env) == [0]
     manager(env, "wait")
-    do(env, "pour EV -> B2, 0.4 fraction")
+    do(env, "pour EV -> B2, 40 %")
     do(env, "end the experiment")
     # EV stands where it came from; B1 stayed empty; B2 is on the first free slot.
     assert env.agent_selection == "manager_0"
@@ -161,7 +161,7 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     manager(env, "start", "rxn_0", 1, "dodecane")
     manager(env, "wait")
     env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
-    do(env, "pour EV -> B2, 1 fraction")  # 0.64 L into 0.2 L
+    do(env, "pour EV -> B2, 100 %")  # 0.64 L into 0.2 L
     filled = litres(env.scenario, {"diethyl_ether": 4.0, "dodecane": 1.0})
     spilled = filled - 0.2
     assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"spill_l": spilled}, rel=1e-9)

@@ -74,7 +74,7 @@ def mean_actions(label: str, goal: str) -> list[list[float]]:
 SEQUENCES = {
     "wurtz_ext": ["add diethyl_ether to EV, 0.05 L"] * 7
     + ["settle, 2 units of settling time", "drain EV -> B1, 16 % of the height"],
-    "wurtz_dit": ["heat DV, 50 kJ"] * 7 + ["pour DV -> B1, 0.2 fraction"],
+    "wurtz_dit": ["heat DV, 50 kJ"] * 7 + ["pour DV -> B1, 20 %"],
 }
 
 

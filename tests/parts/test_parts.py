@@ -67,7 +67,7 @@ def test_the_instrument_reads() -> None:
 def test_the_operation_acts() -> None:
     env = RoleEnv(FILE, bench="ext", goals="dodecane")
     observation, info = env.reset(seed=0)
-    assert env.action_meanings[A_QUARTER] == "blow diethyl_ether off EV, 0.25 fraction"
+    assert env.action_meanings[A_QUARTER] == "blow diethyl_ether off EV, 25 %"
     shelf, experiments, spec = env.batch.shelf, env.batch.experiments, env.batch.scenario
     ether, vessel = shelf.layout.index("diethyl_ether"), shelf.vessel(0, 0)
     before = vessel.amounts()

@@ -268,7 +268,7 @@ _BOX_WIDTH, _BOX_HEIGHT, _LINE_HEIGHT, _LABEL_WIDTH = 1.12, 0.6, 0.92, 1.25
 
 
 def _words(meaning: str) -> str:
-    """Shorten an action's name for a box: 'pour DV -> B1, 0.1 fraction' gives 'pour DV→B1' and '10 %'."""
+    """Shorten an action's name for a box: 'pour DV -> B1, 10 %' gives 'pour DV→B1' and '10 %'."""
     what, _, how = meaning.partition(", ")
     amount, _, unit = how.partition(" ")
     if unit == "fraction":
