@@ -199,8 +199,6 @@ def test_half_of_a_bench_s_noise_stays_for_an_experiment(bench: str) -> None:
         ("relay", "rxn_0", "volume"),
         ("relay", "fin_0", "volume"),
         ("rush", "rxn_0", "volume"),
-        ("unlabelled", "rxn_0", "volume"),
-        ("unlabelled", "dit_0", "pressure"),
     ],
 )
 def test_a_gauge_without_noise_reads_the_same_in_every_world(name: str, agent: str, channel: str) -> None:
