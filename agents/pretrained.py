@@ -66,8 +66,9 @@ class Interface(DataModel):
     @field_validator("actions")
     @classmethod
     def _present_units(cls, actions: list[str]) -> list[str]:
-        """Return the actions of a card that was written when settling had another unit as they are named now."""
-        return [re.sub(r"(?<= )clock$", "units of settling time", words) for words in actions]
+        """Return the actions of a card that was written when magnitudes had other units as they are named now."""
+        words = [re.sub(r"(?<= )clock$", "units of settling time", action) for action in actions]
+        return [re.sub(r"([0-9.]+) fraction$", lambda share: f"{100.0 * float(share[1]):g} %", one) for one in words]
 
 
 def interface(workplace: Workplace) -> Interface:

@@ -15,6 +15,7 @@ from chemlab.agents import pretrained
 from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import (
     Card,
+    Interface,
     PretrainedPolicy,
     fingerprint,
     interface,
@@ -295,6 +296,11 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
         card, labs = policy.card, Laboratories(load_scenario(policy.card.scenario))
         role = {bench.key: bench for bench in labs.benches}.get(card.bench, labs.manager.workplace)
         assert fingerprint(role) == card.fingerprint, name
+
+
+def test_cards_with_former_units_load() -> None:
+    former = Interface(kind="ext", channels=[], actions=["mix EV, 6 clock", "pour EV -> B2, 0.4 fraction"], discrete=True)
+    assert former.actions == ["mix EV, 6 units of settling time", "pour EV -> B2, 40 %"]
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:
