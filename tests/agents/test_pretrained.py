@@ -299,7 +299,9 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
 
 
 def test_cards_with_former_units_load() -> None:
-    former = Interface(kind="ext", channels=[], actions=["mix EV, 6 clock", "pour EV -> B2, 0.4 fraction"], discrete=True)
+    former = Interface(
+        kind="ext", channels=[], actions=["mix EV, 6 clock", "pour EV -> B2, 0.4 fraction"], discrete=True
+    )
     assert former.actions == ["mix EV, 6 units of settling time", "pour EV -> B2, 40 %"]
 
 
