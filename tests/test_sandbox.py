@@ -794,6 +794,23 @@ def test_what_a_bench_adds_reacts_in_the_same_step_as_in_a_flask(name: str) -> N
     assert sum(made[goal] for goal in env.scenario.goals) > 0.01
 
 
+@pytest.mark.parametrize(("mol", "seconds", "jacket"), [(8.0, 3600.0, 0.0), (10.0, 7200.0, 50.0)])
+def test_a_product_lowers_the_boiling_point_alike_in_one_call(
+    tmp_path: Path, mol: float, seconds: float, jacket: float
+) -> None:
+    """Ether that forms from warm ethanol boils off, in an insulated flask and in a jacket."""
+    path = tmp_path / "ether.toml"
+    text = first_order("ethanol", "diethyl_ether, water", 3e9).replace('"ethanol" = 1', '"ethanol" = 2')
+    path.write_text(text.replace("j_mol = 0.0", "j_mol = 100000.0"), encoding="utf-8")
+    lost = []
+    for calls in (1, 300):
+        flask = Flask({"ethanol": mol}, reactions=str(path), temperature_k=345.0)
+        for _ in range(calls):
+            flask.react(seconds / calls, 345.0, jacket_w_k=jacket, condenser_w=0.0)
+        lost.append(flask.waste["diethyl_ether"])
+    assert lost[0] == pytest.approx(lost[1], rel=0.05)
+
+
 def test_what_a_runaway_boils_off_does_not_depend_on_how_long_one_looks_away() -> None:
     """Ten minutes at once lose as much ether as six thousand tenths of a second."""
     lost = []

@@ -3,7 +3,8 @@
 An open vessel is integrated up to its boiling point, and from there in parts. In each part it reacts at the boiling
 temperature. Heat that the condenser does not remove produces vapour, half of it in advance, predicted from the previous
 part. Temperature and composition are therefore those of the middle of the part (midpoint rule, second order). Parts are
-short enough for changes of saturations, volumes and fast equilibria (:mod:`.spans`).
+short enough for changes of saturations, volumes and fast equilibria (:mod:`.spans`), and for products that lower the
+boiling point.
 
 At the melting point of crystals the contents react at this temperature, part by part, and heat melts crystals.
 """
@@ -16,6 +17,7 @@ from typing import NamedTuple
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import TEMPERATURE
+from ...constants import LEAST_CAPACITY
 from ...events import RELIEF
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
@@ -42,7 +44,7 @@ _SHORTEST_S = 0.25
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
 """Maximum ratio of the durations of successive parts, and maximum predicted growth of vaporization."""
 _NEARLY_K = 0.3
-"""Distance in K from the boiling point within which contents boil."""
+"""Distance in K from the boiling point within which contents boil, and by which products may lower it in a part."""
 _ABOVE_K = 1.0
 """Distance in K above jacket and contents at which the boiling point is checked."""
 _COOLED_K = 1.0
@@ -138,13 +140,14 @@ def _boil_part(
     coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
     heat = max(made + around.transfer * (around.jacket - at) * duration, coolest)
     most = _HEAT_K * capacity
-    if most <= 0.0:
+    if capacity <= LEAST_CAPACITY:
         return duration, state, _DRY
     surplus = max(heat - around.condenser * duration, -most)
     if not state.known:
         # A short first part determines the duration and boiling rate of the next.
         _copy(kept, row)
-        climb, longer = state.climb, min(left / duration, 0.25 * most / max(abs(heat), 1e-9 * most))
+        climb = state.climb
+        longer = min(left / duration, 0.25 * most / max(abs(heat), 1e-9 * most), 0.9 / max(drift, 1e-9))
         following, ahead = max(duration * longer, shortest), 0.5 * max(surplus, 0.0) * longer
         ahead = ahead if following > shortest else 0.0
         if ahead > 0.0:
@@ -260,9 +263,9 @@ def react(
         drift, bound = 0.0, hottest
         if steps > 0 or row[TEMPERATURE] != at:
             drift = drifted(row, chem, steady, litres, around.atol, ways, work)
-            if steps > 0 and follows and not held:  # products may boil at a lower temperature
+            if steps > 0 and follows and not melts:  # products may boil at a lower temperature
                 bound = _boils_above(row, around.jacket, chem)
-                drift = max(drift, (row[TEMPERATURE] - bound) / _ABOVE_K)
+                drift = max(drift, (row[TEMPERATURE] - bound) / _NEARLY_K)
             if steady:
                 row[TEMPERATURE] = jacket  # the thermostat absorbs the heat of settling
             least = _LEAST_SPAN * dt if drift == math.inf else shortest if held else briefest
@@ -300,7 +303,7 @@ def react(
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
                 part, state = shortest, _NOTHING_KNOWN
                 fresh = not boils
-    if around.condenser >= 0.0 and not follows:
+    if around.condenser >= 0.0 and not boils and (row[TEMPERATURE] > hottest or not follows):
         pressure = opened(RealChemistry, chem).ambient_pressure
         events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * dt, chem, waste)
     return total
