@@ -287,6 +287,7 @@ def react(
             now = _Part(part, shortest, left, made, drift)
             following, state, outcome = _boil_part(row, kept, now, state, around, chem, waste, events)
             if outcome == _DRY:
+                add_heat(row, 0.0, chem)  # at the temperature of the surroundings
                 return total
             left -= 0.0 if outcome == _REPEATED else part
             part = following
