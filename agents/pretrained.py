@@ -68,7 +68,7 @@ class Interface(DataModel):
     def _present_units(cls, actions: list[str]) -> list[str]:
         """Return the actions of a card that was written when magnitudes had other units as they are named now."""
         words = [re.sub(r"(?<= )clock$", "units of settling time", action) for action in actions]
-        return [re.sub(r"([0-9.]+) fraction$", lambda share: f"{100.0 * float(share[1]):g} %", one) for one in words]
+        return [re.sub(r"(\S+) fraction$", lambda share: f"{100.0 * float(share[1]):g} %", one) for one in words]
 
 
 def interface(workplace: Workplace) -> Interface:
@@ -217,7 +217,10 @@ class PretrainedPolicy(Remembering):
                     "the card and the weights do not belong together"
                 )
             if not np.isfinite(given).all():
-                raise ValueError(f"{card.name}: {name}: must be finite: training diverged; give a lower learning_rate")
+                raise ValueError(
+                    f"{card.name}: {name}: must be finite; if you trained it, training has diverged: "
+                    "give a lower learning_rate"
+                )
         self._lstm = [weights[name].astype(np.float64) for name in LSTM] if hidden else []
         self._memory = Memory(hidden, hidden)
         self._layers = [

@@ -809,10 +809,15 @@ def test_a_product_lowers_the_boiling_point_alike_in_one_call(
             flask.react(seconds / calls, 345.0, jacket_w_k=jacket, condenser_w=0.0)
         lost.append(flask.waste["diethyl_ether"])
     assert lost[0] == pytest.approx(lost[1], rel=0.05)
+
+
+def test_contents_boiled_dry_have_the_temperature_of_the_room_in_every_call(tmp_path: Path) -> None:
+    path = tmp_path / "ether.toml"
+    path.write_text(first_order("ethanol", "diethyl_ether, water", 1e-5).replace('"ethanol" = 1', '"ethanol" = 2'))
     dry = Flask({"ethanol": 10.0}, reactions=str(path))
     for _ in range(5):
         dry.react(1440.0, 365.0, jacket_w_k=50.0, condenser_w=0.0)
-    assert dry.temperature_k == 298.15  # that of the room
+    assert dry.temperature_k == 298.15
 
 
 def test_what_a_runaway_boils_off_does_not_depend_on_how_long_one_looks_away() -> None:

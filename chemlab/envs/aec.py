@@ -3,7 +3,7 @@
 | Import | `from chemlab import env, raw_env` |
 |---|---|
 | Agents | `manager_0`, then the scenario's benches: `rxn_0`, `ext_0`, `dit_0`, ... |
-| Actions | rxn: `Box(0, 1)`; all others: `Discrete` |
+| Actions | reaction benches: `Box(0, 1)`; the manager and all others: `Discrete` |
 | Observations | flat float32 `Box(0, 1)`; shapes follow the scenario |
 | Masks | `info["action_mask"]` of every agent with discrete actions, on its turn |
 | Parallel API | `parallel_env`, natively: see `chemlab.envs.parallel` |
@@ -11,7 +11,7 @@
 ### Turn order
 The manager has the turn at the start, when an experiment or a repair has ended, when an order has arrived, and after
 each of its own actions except `wait`; while all benches are idle, also at the deadline of an order. `wait` lets ticks
-pass until then. In each tick, every busy bench has one turn in a fixed order. Idle benches have no turn.
+pass until one of these happens. In each tick, every busy bench has one turn in a fixed order. Idle benches have none.
 
 ### Rewards
 A bench earns the score of its experiment at its end (see its class for the formula). The manager earns, at `submit`,

@@ -73,7 +73,7 @@ class Operation(Part):
     """A kind of process in a bench's action table.
 
     Attributes:
-        unit: unit of the magnitude.
+        unit: unit of the magnitude; descriptions show a ``fraction`` as percent.
         words: beginning of an action's description, with ``{vessel}``, ``{target}`` and ``{material}``.
         act: ``act(turn, chem) -> float``: carries it out, as a kernel or a function; returns the settling of all the
             bench's vessels meanwhile.

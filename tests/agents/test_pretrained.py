@@ -300,16 +300,16 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
 
 def test_cards_with_former_units_load() -> None:
     former = Interface(
-        kind="ext", channels=[], actions=["mix EV, 6 clock", "pour EV -> B2, 0.4 fraction"], discrete=True
+        kind="ext", channels=[], actions=["mix EV, 6 clock", "pour EV -> B2, 1e-05 fraction"], discrete=True
     )
-    assert former.actions == ["mix EV, 6 units of settling time", "pour EV -> B2, 40 %"]
+    assert former.actions == ["mix EV, 6 units of settling time", "pour EV -> B2, 0.001 %"]
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:
     refused("no such card", load_pretrained, "nothing")
     made = made_up(bench_of(RXN))
     diverged = {**made.weights, "0.bias": np.full_like(made.weights["0.bias"], np.nan)}
-    refused("0.bias: must be finite: training diverged", PretrainedPolicy, made.card, diverged)
+    refused("0.bias: must be finite; if you trained it, training has diverged", PretrainedPolicy, made.card, diverged)
     ship(made_up(bench_of(DIT)), tmp_path, "a")
     file = tmp_path / "a.safetensors"
     file.write_bytes(file.read_bytes()[:-5])

@@ -271,9 +271,7 @@ def _words(meaning: str) -> str:
     """Shorten an action's name for a box: 'pour DV -> B1, 10 %' gives 'pour DV→B1' and '10 %'."""
     what, _, how = meaning.partition(", ")
     amount, _, unit = how.partition(" ")
-    if unit == "fraction":
-        how = f"{float(amount):.0%}".replace("%", " %")
-    elif unit == "clock":
+    if unit == "units of settling time":
         how = f"time {amount}"
     elif unit.startswith("%"):
         how = f"{amount} %"

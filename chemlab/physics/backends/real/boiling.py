@@ -222,6 +222,7 @@ def heat(
     for a in range(n):
         distilled[a] = 0.0
     left, condenser, boiled, dry = joules, 0.0, False, n == 0
+    profiled = 0  # molecules in the column's profile, from which the next step begins
     for _step in range(_MOST_STEPS):
         everything = 0.0
         for a in range(n):
@@ -238,7 +239,7 @@ def heat(
             row[TEMPERATURE] = melting
             left -= needed + melt(row, melting, left - needed, chem)
             condenser += _collect(receiver, n, distilled, chem, block, waste, events)
-            n = gather(row, chem, block)
+            n, profiled = gather(row, chem, block), 0
             continue
         if not dry and liquids.ions[1] > TRACE_MOL and row[TEMPERATURE] < min(boiling, hottest):
             # Salts dissolve while it warms.
@@ -261,7 +262,8 @@ def heat(
         if left <= _TRIFLE * joules:
             hottest = boiling
             break
-        spent, rise = _boil(row, n, boiling, left, bool(boiled), still, chem, block)
+        spent, rise = _boil(row, n, boiling, left, profiled == n, still, chem, block)
+        profiled = n
         for a in range(n):
             gone = before[a] - liquids.mol[a]
             distilled[a] += gone
@@ -280,6 +282,7 @@ def heat(
             break
         if ionizes(chem):
             settle_acids(row, chem, work)
+            row[TEMPERATURE] = within_range(row[TEMPERATURE])
             condenser += _collect(receiver, n, distilled, chem, block, waste, events)
             n = gather(row, chem, block)
         if let_salts_fall_out(row, chem):

@@ -44,7 +44,7 @@ _SHORTEST_S = 0.25
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
 """Maximum ratio of the durations of successive parts, and maximum predicted growth of vaporization."""
 _NEARLY_K = 0.3
-"""Distance in K from the boiling point within which contents boil, and by which products may lower it in a part."""
+"""Distance in K from the boiling point within which contents boil; products may lower it by as much in a part."""
 _ABOVE_K = 1.0
 """Distance in K above jacket and contents at which the boiling point is checked."""
 _COOLED_K = 1.0
@@ -92,7 +92,7 @@ class _Part(NamedTuple):
     shortest: float  # s, minimum duration of any part
     left: float  # s, from its beginning to the end of the time
     made: float  # J, heat of the reactions
-    drift: float  # from :func:`.spans.drifted`
+    drift: float  # from :func:`.spans.drifted`, or by the boiling point, which has fallen
 
 
 class _Boiling(NamedTuple):
