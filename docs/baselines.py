@@ -2,9 +2,9 @@
 
 ``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` and ``chemlab crossplay`` on the managers, teams and
 cloned benches trained in RESULTS (``from_nothing.toml`` and ``worlds.toml`` of ``studies/baselines``). Each finished
-run plays all episodes and gives one row. Played episodes are kept in ``RESULTS/benchmark``. Its leaderboard starts as a
-copy of the committed one and is copied back to ``docs/results/leaderboard.json``. Rows of runs that were trained
-elsewhere or earlier are kept.
+run plays all episodes and gives one row; of each learner, crossplay takes the first finished run. Played episodes are
+kept in ``RESULTS/benchmark``. Its leaderboard starts as a copy of the committed one and is copied back to
+``docs/results/leaderboard.json``. Rows of runs that were trained elsewhere or earlier are kept.
 """
 
 from __future__ import annotations

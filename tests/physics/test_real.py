@@ -362,8 +362,8 @@ def test_random_operations_keep_atoms_and_energy() -> None:
             elif kind == 2:
                 limits = np.array([800.0, 250.0, rng.integers(1, 5), 1.0])
                 vessels = row, glass.rows[other]
-                drawn, spoiled = rng.normal(0, 3e4), (glass.waste, glass.events)
-                made: Any = laws.heat(*vessels, drawn, limits, glass.chem, *spoiled, glass.work)
+                drawn, sinks = rng.normal(0, 3e4), (glass.waste, glass.events)
+                made: Any = laws.heat(*vessels, drawn, limits, glass.chem, *sinks, glass.work)
                 balance = float(made[0] - made[1])
             elif kind == 3:
                 laws.elapse(row, rng.uniform(0, 5), glass.chem, glass.waste, glass.events, glass.work)

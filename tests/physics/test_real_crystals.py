@@ -332,8 +332,8 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         waste = glass.waste.copy()
         if kind == 0:
             joules = float(rng.normal(0.0, 40e3))
-            spoiled = glass.waste, glass.events
-            went, taken = laws.heat(row, glass.rows[1], joules, limits, glass.chem, *spoiled, glass.work)
+            sinks = glass.waste, glass.events
+            went, taken = laws.heat(row, glass.rows[1], joules, limits, glass.chem, *sinks, glass.work)
             books += went - taken
         elif kind == 1:
             name = str(rng.choice(["water", "ethanol", "benzoic_acid"], p=[0.5, 0.3, 0.2]))
