@@ -403,7 +403,8 @@ class RoleText:
             own = values[channel.name]
             if label == "ticks left":  # a time that stays, so that only news is repeated
                 left = channel.unscaled(float(own[0]))
-                cells["due at tick"] = _time(self._tick + left) if left > 0.0 else "now or earlier"
+                due = min(self._tick + left, self._labs.scenario.limits.ticks)
+                cells["due at tick"] = _time(due) if left > 0.0 else "now or earlier"
             elif channel.size > 1 or channel.unit == "one-hot":
                 cells["goal"] = self._words(label, channel, own, label)
             elif own.any() or not label.endswith("at least"):
