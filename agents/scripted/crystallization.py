@@ -98,8 +98,9 @@ class ScriptedCrystallization(Remembering):
     """Collects, washes and dries crystals; recrystallizes a crude product first.
 
     Crystals in liquor are collected, washed and dried. A crude product is dissolved in as much hot solvent as the
-    goal's solubility requires, and the rest is filtered off. The solution is cooled, seeded just past saturation and
-    left until precipitation stops. The crystals are filtered off, washed twice with little solvent, and dried.
+    goal's solubility requires, and the rest is filtered off. The solution is cooled, seeded just past saturation if the
+    bench has seeds, and left until precipitation stops. The crystals are filtered off, washed twice with little
+    solvent, and dried.
 
     Args:
         bench: the bench.
@@ -107,7 +108,7 @@ class ScriptedCrystallization(Remembering):
     """
 
     def __init__(self, bench: CrystallizationBench, careful: bool = True) -> None:
-        self._bench, self._careful = bench, careful
+        self._bench, self._careful, self._seeds = bench, careful, careful and bool(bench.choices("seed"))
         self._slices = channel_slices(bench.channels)
         self._gauges = {channel.name: channel for channel in bench.channels}
         self._hot_k = bench.options.hottest_k - _HOT_K
@@ -222,12 +223,12 @@ class ScriptedCrystallization(Remembering):
             kind, vessel, target = _CLEARING[batch.phase]
             return self._most(1.0, kind, vessel=vessel, target=target)
         if batch.phase == COOL:
-            if self._careful and not batch.seeded and kelvin <= batch.seed_k:
+            unseeded = self._seeds and not batch.seeded
+            if unseeded and kelvin <= batch.seed_k:
                 batch.seeded = True
                 return self._most(_SEED_G, "seed")
             still = self._still(batch, solids * litres)
             if kelvin > self._cold_k + 1.0 or not still:
-                unseeded = self._careful and not batch.seeded
                 action = self._warm(kelvin, litres, batch.seed_k if unseeded else self._cold_k)
                 if not still or action != self._wait:
                     return action

@@ -92,4 +92,4 @@ class ScriptedReaction:
             wanted = np.interp(quantile, shares, kelvin) - (self._margin_k or 0.0)
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * self._step_k), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
-        return np.column_stack((warm, piston, adding))
+        return np.concatenate((warm[:, None], piston[:, None], adding), axis=1)

@@ -8,7 +8,8 @@ import numpy as np
 
 from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
+from chemlab.kernels.tables import Table
+from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 from chemlab.roles.separation_benches import DistillationBench, ExtractionBench
 
@@ -79,8 +80,6 @@ class ScriptedRealReaction:
 
 
 _WASHES = 3
-_LOWER = 0.12
-"""Maximum difference from the grey value of water at which a pixel belongs to the aqueous layer."""
 
 
 class ScriptedRealExtraction(ScriptedExtraction):
@@ -95,17 +94,9 @@ class ScriptedRealExtraction(ScriptedExtraction):
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench)
-        self._metals, self._most = self._metals[:0], _WASHES if careful else 1
-
-    def _boundary(self, picture: ObservationArray) -> int:
-        """Return the number of pixels from the bottom up to the last aqueous one."""
-        aqueous = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
-        return int(aqueous[-1]) + 1 if len(aqueous) else 0
-
-    def _drain_lower(self, picture: ObservationArray, mask: MaskArray) -> int | None:
-        percent = 100.0 * self._boundary(picture) / CAMERA_PIXELS
-        chosen = next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), None)
-        return chosen if chosen is not None and mask[chosen] else None
+        plan = self._plan.arrays
+        most = _WASHES if careful else 1
+        self._plan = Table(plan._replace(metals=plan.metals[:0], most=most, diffuse=1))
 
 
 _KJ_PER_L_K, _KJ_PER_L = 1.8, 250.0

@@ -123,15 +123,6 @@ def shows(picture: ObservationArray, shade: float) -> int:
     return count
 
 
-@kernel
-def count_pixels(picture: ObservationArray, shades: ObservationArray) -> int:
-    """Count the pixels of an observed picture whose grey value is one of ``shades``."""
-    count = 0
-    for k in range(shades.shape[0]):
-        count += shows(picture, shades[k])
-    return count
-
-
 class Setting(NamedTuple):
     """A scripted manager's laboratory and options.
 

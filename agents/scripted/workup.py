@@ -10,10 +10,11 @@ from chemlab.config.materials import litres_of
 from chemlab.config.pairs import log_activity_coefficients, pair_table
 from chemlab.config.reactions import HYDROXIDE, PROTON, WATER
 from chemlab.config.scenario import Scenario
-from chemlab.kernels.arrays import MaskArray, ObservationArray
+from chemlab.kernels.tables import Table
 from chemlab.physics.constants import ROOM_K
 from chemlab.roles.separation_benches import ExtractionBench
 
+from .extraction import WASH
 from .real import ScriptedRealExtraction
 from .script import choices
 
@@ -21,8 +22,6 @@ _APART = 30.0
 """Activity coefficient at infinite dilution in water above which a liquid is considered immiscible with water."""
 _SOLVENT_L = 0.3
 """Volume of a second solvent in L."""
-_AIR = 0.05
-"""Maximum difference from the grey value of air at which a pixel shows air."""
 _DISSOLVING = 5
 """Number of steps for dissolving crystals before a base is added."""
 _EXCESS = 1.2
@@ -50,8 +49,6 @@ class ScriptedWorkup(ScriptedRealExtraction):
         careful: False washes once.
     """
 
-    _MEMORY = ("_phase", "_washes", "_done")
-
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench, careful)
         scenario = bench.scenario
@@ -62,30 +59,31 @@ class ScriptedWorkup(ScriptedRealExtraction):
             return sizes[min((size for size in sizes if size >= wanted), default=max(sizes))]
 
         added = [str(process.material) for process in bench.options.process if process.kind == "add"]
-        self._organic_shade: float | None = None
-        self._air_shade = scenario.materials["air"].shade
-        self._before: list[int] = []
-        self._after: list[int] = []
-        """Actions before the first wash and after the last one."""
+        plan = self._plan.arrays
+        steps = [WASH]
         base, acid = self._base_and_acid(bench, added)
         present = {name for vessel in scenario.shelf.vessel for name in vessel.contents}
+        above: str | None = None  # the layer above the wash, which may contain as much alcohol as water
         solvent: str | None = next((name for name in added if keeps_apart(scenario, name)), None)
         if base and acid:
             most = max(scenario.theoretical_maximum_mol.get(goal, 0.0) for goal in bench.goals.names)
-            for name, excess, into in ((base, _EXCESS, self._before), (acid, _EXCESS**2, self._after)):
-                into.append(choose(litres_of({name: excess * most}, scenario.materials), "add", material=name))
+            basify, acidify = (
+                choose(litres_of({name: excess * most}, scenario.materials), "add", material=name)
+                for name, excess in ((base, _EXCESS), (acid, _EXCESS**2))
+            )
             back = [choose(1.0, "pour", vessel=of, target=to) for of, to in (("EV", "B2"), ("B1", "EV"))]
-            self._before = [self._mix, *[self._settle] * _DISSOLVING, *self._before]
-            self._after = [*back, *self._after, self._mix, self._settle]
+            steps = [plan.mix, *[plan.settle] * _DISSOLVING, basify, WASH, *back, acidify, plan.mix, plan.settle]
         elif not any(keeps_apart(scenario, name) for name in present):
             if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
-                self._organic_shade = scenario.materials[bench.goals.names[0]].shade
+                above = bench.goals.names[0]
                 # Every wash removes a part of a goal that is itself a solvent: one wash less, with a small volume.
-                self._add, self._most = choose(0.0, "add", material=WATER), self._most - 1
+                add = np.array([choose(0.0, "add", material=WATER)])
+                plan = plan._replace(adds=add, most=plan.most - 1)
             elif solvent is not None:
-                self._organic_shade = scenario.materials[solvent].shade
-                self._before = [choose(_SOLVENT_L, "add", material=solvent)]
-        self._done: dict[int, int] = {}
+                above = solvent
+                steps = [choose(_SOLVENT_L, "add", material=solvent), WASH]
+        organic = np.array([scenario.materials[above].shade] if above else [], dtype=np.float32)
+        self._plan = Table(plan._replace(steps=np.array(steps), organic=organic))
 
     @staticmethod
     def _base_and_acid(bench: ExtractionBench, added: list[str]) -> tuple[str | None, str | None]:
@@ -98,36 +96,3 @@ class ScriptedWorkup(ScriptedRealExtraction):
         base = next((name for name, salt in salts.items() if salt.anion == HYDROXIDE), None)
         acid = next((name for name, salt in salts.items() if salt.anion in acids or salt.cation == PROTON), None)
         return base, acid
-
-    def _boundary(self, picture: ObservationArray) -> int:
-        """Return the number of pixels from the bottom to the layer above the water.
-
-        The grey value of the lower layer is unknown, because it may contain as much alcohol as water.
-        """
-        if self._organic_shade is None:
-            return super()._boundary(picture)
-        organic = np.abs(picture - self._organic_shade) < np.abs(picture - self._wash_shade)
-        organic &= np.abs(picture - self._air_shade) > _AIR
-        # A single layer is not drained, because it is not only water.
-        return int(organic.argmax()) if organic.any() else 0
-
-    def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0 or member not in self._done:  # another policy may have played the first turns
-            self._done[member] = 0
-        done = self._done[member]
-        if done < len(self._before):
-            self._done[member] = done + 1
-            return self._before[done] if mask[self._before[done]] else self._decide(picture, mask, step + 1, member)
-        if done == len(self._before):
-            # Step 0 begins the washing.
-            self._done[member] = done + 1
-            return super()._decide(picture, mask, 0, member)
-        if done == len(self._before) + 1:
-            action = super()._decide(picture, mask, step, member)
-            if action != self._end:
-                return action
-        for action in self._after[max(done - len(self._before) - 1, 0) :]:
-            self._done[member] += 1
-            if mask[action]:
-                return action
-        return self._end

@@ -84,11 +84,6 @@ def number_of(agent: str, agents: Sequence[str]) -> int:
     return agents.index(agent)
 
 
-def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
-    """Return True if every number is in [low, high] (False for NaN)."""
-    return not values.size or bool(low <= values.min() and values.max() <= high)
-
-
 def _given(actions: Any, numbers: npt.NDArray[Any] | None, high: float, rows: npt.NDArray[np.bool_] | None) -> str:
     """Describe refused actions: the first of their ``numbers`` that is not in [0, high], in the rows that count, with
     its place; without numbers what was given.
@@ -131,16 +126,18 @@ def checked_actions(
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
         if values.dtype.kind in "iu" and values.shape == (count,):
-            numbers = values
-            if _all_within(numbers if rows is None else numbers[rows], 0, last):
-                return np.ascontiguousarray(numbers, dtype=np.int64)
+            numbers, whole = values, np.ascontiguousarray(values, dtype=np.int64)
+            # Without a sign, negative numbers are very large.
+            if (whole if rows is None else whole[rows]).view(np.uint64).max(initial=0) <= last:
+                return whole
         raise ValueError(
             f"{agent}: actions must be {count} integers from 0 to {last}, given {_given(actions, numbers, last, rows)}"
         )
     shape = (count, *(space.shape or ()))
     if values.dtype.kind in "fiu" and values.shape == shape:
         numbers = np.ascontiguousarray(values, dtype=np.float64)
-        if _all_within(numbers if rows is None else numbers[rows], 0.0, 1.0):
+        shown = numbers if rows is None else numbers[rows]
+        if not shown.size or (shown.min() >= 0.0 and shown.max() <= 1.0):  # False for NaN
             return numbers
     given = _given(actions, numbers, 1.0, rows)
     raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {given}")

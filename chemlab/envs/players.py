@@ -91,10 +91,15 @@ class Memory:
 
     def recall(self, step: IntArray, members: IntArray) -> list[npt.NDArray[np.float64]]:
         """Return [B, size] of each array for the members; see :meth:`Policy.act`."""
-        lacking = int(members.max(initial=-1)) + 1 - len(self._arrays[0])
-        if lacking > 0:
+        try:
+            found = [array[members] for array in self._arrays]
+        except IndexError:  # members that are new
+            lacking = int(members.max()) + 1 - len(self._arrays[0])
             self._arrays = [np.concatenate([a, np.zeros((lacking, a.shape[1]))]) for a in self._arrays]
-        return [np.where(step[:, None] == 0, 0.0, array[members]) for array in self._arrays]
+            return self.recall(step, members)
+        for array in found:
+            array[step == 0] = 0.0
+        return found
 
     def keep(self, members: IntArray, *values: npt.NDArray[Any]) -> None:
         """Store values [B, size] of the members."""
@@ -289,11 +294,10 @@ class Players:
             ValueError: a policy's actions are outside its agent's space; the message names the agent.
         """
         labs = self._labs
-        cursor, status = labs.state.cursor, labs.state.status
         for number, policy in enumerate(self._policies):
             if policy is None:
                 continue
-            group = members[(cursor[members] == labs.roles[number].cursor) & (status[members] == RUNNING)]
+            group = labs.having_turn(number, members)
             if len(group):
                 self._act(number, group, self.decide(number, group))
                 after(number, group)

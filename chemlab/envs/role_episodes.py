@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -15,13 +16,14 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from ..config.scenario import Scenario
-from ..kernels.arrays import IntArray, ObservationArray
+from ..kernels.arrays import FloatArray, Handle, IntArray, ObservationArray
+from ..kernels.jit import kernel, opened
 from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
 from ..lab.hidden import World, Worlds
 from ..lab.text import describe_laboratory
 from ..roles.base import Workplace
-from ..roles.manager_state import RUNNING
+from ..roles.manager_state import RUNNING, ManagerState
 from .players import Players, as_policy
 
 if TYPE_CHECKING:
@@ -38,6 +40,21 @@ Policies = Mapping[str, Any] | Callable[[Laboratories], Mapping[str, Any]]
 """Policies of the other agents by name, as accepted by :func:`~chemlab.envs.players.as_policy`, or a function that
 makes them for the laboratories.
 """
+
+
+@kernel
+def _collect(
+    members: IntArray, focal: int, manager: Handle, rewards: FloatArray, costs: FloatArray, scores: FloatArray
+) -> None:
+    """Add the results of the last turn for agent ``focal`` to ``rewards``, ``costs`` and ``scores`` [N]."""
+    state = opened(ManagerState, manager)
+    for i in range(members.shape[0]):
+        n = members[i]
+        rewards[n] += state.rewards[focal, n]
+        costs[n] += state.cost[focal, n]
+        score = state.scores[focal, n]
+        if not math.isnan(score):
+            scores[n] = score + (0.0 if math.isnan(scores[n]) else scores[n])
 
 
 class RoleEpisodes(ABC):
@@ -465,16 +482,7 @@ class LaboratoryEpisodes(RoleEpisodes):
 
     def _collect(self, members: IntArray) -> None:
         """Add the consequences of the last turn of any agent to the agent's results."""
-        labs, focal = self.laboratories, self.focal
-        self.rewards[members] += labs.state.rewards[focal][members]
-        self.costs[members] += labs.state.cost[focal][members]
-        if not labs.experiment_ended:
-            return
-        scores = labs.state.scores[focal][members]
-        ended = np.isfinite(scores)
-        if ended.any():
-            before = self.scores[members[ended]]
-            self.scores[members[ended]] = np.where(np.isnan(before), 0.0, before) + scores[ended]
+        _collect(members, self.focal, self.laboratories.table.handle, self.rewards, self.costs, self.scores)
 
     def _look(self) -> None:
         labs, members = self.laboratories, self.laboratories.members

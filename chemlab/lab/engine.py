@@ -32,6 +32,7 @@ from ..roles.manager import (
     OVER,
     advance,
     age_on_shelf,
+    having_turn,
     itemize,
     open_turn,
     rest_on_shelf,
@@ -430,6 +431,11 @@ class Laboratories:
         """[B] index of the agent that has the turn in each laboratory."""
         return np.asarray(self._by_cursor[self.state.cursor[members]])
 
+    def having_turn(self, agent: int, members: IntArray) -> IntArray:
+        """Return those of ``members`` [B] in which an agent has the turn."""
+        which = np.empty_like(members)
+        return which[: having_turn(members, self.roles[agent].cursor, self.table.handle, which)]
+
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
         """[agents, B] whether an agent plays in a laboratory's next round: the manager or a busy bench; none if the
         episode is over."""
@@ -484,7 +490,7 @@ class Laboratories:
         for role in self.bench_roles:
             # At the end of the tick, the cursor is at the manager or at the first busy bench, which is before its last
             # position.
-            group = ticking[cursor[ticking] == role.cursor]
+            group = self.having_turn(role.index, ticking)
             if len(group):
                 role.act(group, actions[role.index][group])
 

@@ -38,7 +38,7 @@ class BenchRole(Role):
 
     @property
     def turns_had(self) -> IntArray:
-        return np.asarray(self.experiments.steps)
+        return np.asarray(self.labs.state.bench_steps[self.number])
 
     @property
     def illegal(self) -> BoolArray:

@@ -399,6 +399,19 @@ def open_turn(members: IntArray, manager: Handle) -> None:
 
 
 @kernel
+def having_turn(members: IntArray, cursor: int, manager: Handle, which: IntArray) -> int:
+    """Write those of ``members`` in which the role at ``cursor`` has the turn into ``which``; return their number."""
+    state = opened(ManagerState, manager)
+    count = 0
+    for i in range(members.shape[0]):
+        n = members[i]
+        if state.cursor[n] == cursor and state.status[n] == RUNNING:
+            which[count] = n
+            count += 1
+    return count
+
+
+@kernel
 def turns(members: IntArray, manager: Handle, scenario: Handle, out: BoolArray) -> None:
     """Write into ``out`` [agents, B] the agents of the laboratories' next round.
 

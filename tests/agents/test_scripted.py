@@ -50,6 +50,11 @@ def test_random_actions_make_next_to_nothing_and_are_not_safe() -> None:
     assert events["spill_l"] > 1.0
 
 
+def test_benches_crystallize_whatever_they_are_brought() -> None:
+    """The bench has no process that seeds. The scripted manager brings no crude product, a random one does."""
+    played("benzoic", "scripted,manager=random", 24)
+
+
 @pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
 def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> None:
     """In as many episodes as there are goals, and more, in worlds as those that audits play."""
