@@ -548,13 +548,13 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
         scene: scene with the true contents.
         scenario: scenario of the scene.
     """
-    gauge = scenario.shelf.gauge
+    gauge, largest = scenario.shelf.gauge, scene.largest_capacity_l
     if scene.status == STATUS_WORDS[RUNNING] and (gauge or scenario.demand.feedback != 0.0):
         scene = dataclasses.replace(scene, result=math.nan)
     if not scenario.world.draws:
         return scene
     shelf = (
-        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge))
+        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge, largest))
         for slot in scene.shelf
     )
     return dataclasses.replace(
@@ -564,10 +564,10 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
             dataclasses.replace(one, mol=shown_share(one.mol / (one.full_mol or 1.0), gauge) * one.full_mol)
             for one in scene.stock
         ),
-        waste_l=_rounded(scene.waste_l, gauge * scene.largest_capacity_l),
+        waste_l=_rounded(scene.waste_l, gauge * largest),
         safety=tuple((kind, _rounded(amount, gauge)) for kind, amount in scene.safety),
         shelf=tuple(shelf),
-        benches=tuple(_visible_bench(bench, gauge, scene.largest_capacity_l) for bench in scene.benches),
+        benches=tuple(_visible_bench(bench, gauge, largest) for bench in scene.benches),
     )
 
 
@@ -576,31 +576,37 @@ def _rounded(value: float, resolution: float) -> float:
     return resolution * math.floor(value / resolution + 0.5) if resolution else value
 
 
-def _opaque(vessel: VesselPicture, resolution: float) -> VesselPicture:
-    """Return a vessel of which only the fill level is visible."""
-    volume = shown_share(vessel.volume_l / vessel.capacity_l, resolution) * vessel.capacity_l
-    layers = (LayerPicture("", "liquid", volume, _UNKNOWN),) if volume > 0.0 else ()
+def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPicture:
+    """Return a vessel of which only the fill level is visible.
+
+    Its capacity is rounded, too, because a piston may stop at the contents.
+    """
+    capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
+    volume = shown_share(vessel.volume_l / capacity, gauge) * capacity
     return dataclasses.replace(
-        vessel, volume_l=volume, temperature_k=None, settling=1.0, layers=layers, mixture=(), contents=(), camera=()
+        vessel,
+        capacity_l=capacity,
+        volume_l=volume,
+        temperature_k=None,
+        settling=1.0,
+        layers=(LayerPicture("", "liquid", volume, _UNKNOWN),) if volume > 0.0 else (),
+        mixture=(),
+        contents=(),
+        camera=(),
     )
 
 
 def _visible_bench(bench: BenchPicture, gauge: float, largest_l: float) -> BenchPicture:
-    """Return a bench with fill levels and, from its agent's first turn on, what the agent observes.
-
-    Capacities are rounded, too, because a piston may stop at the contents.
-    """
+    """Return a bench with fill levels and, from its agent's first turn on, what the agent observes."""
     hidden = bench.busy and bench.step == 0 and not bench.turn
     seen = {} if hidden else {channel.name: channel for channel in bench.seen}
     vessels = []
     for vessel in bench.vessels:
-        capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
-        shown = _opaque(dataclasses.replace(vessel, capacity_l=capacity), gauge)
+        shown = _opaque(vessel, gauge, largest_l)
         if camera := seen.get(f"layers_{vessel.position}"):
             shown = dataclasses.replace(shown, camera=camera.values)
         if vessel.position == bench.positions[0] and (read := seen.get("temperature")):
-            kelvin = read.low + read.values[0] * (read.high - read.low)
-            shown = dataclasses.replace(shown, temperature_k=kelvin)
+            shown = dataclasses.replace(shown, temperature_k=read.low + read.values[0] * (read.high - read.low))
         vessels.append(shown)
     events = tuple((kind, _rounded(amount, gauge)) for kind, amount in bench.events)
     return dataclasses.replace(bench, vessels=tuple(vessels), seen=tuple(seen.values()), events=events)
