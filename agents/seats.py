@@ -656,7 +656,8 @@ class LabTools:
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:
-        """Return the raw score of the laboratory if the episode ended now, with the penalties of unfilled orders."""
+        """End the episode, and return the laboratory's raw score; in its course, it would be a reading free of charge."""
+        self._room.close()
         return self._room.score
 
 
