@@ -656,7 +656,7 @@ class LabTools:
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:
-        """End the episode, and return the laboratory's raw score; in its course, it would be a reading free of charge."""
+        """End the episode, and return its raw score, which would be a reading free of charge while it runs."""
         self._room.close()
         return self._room.score
 
