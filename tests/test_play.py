@@ -67,3 +67,10 @@ def test_all_roles_and_other_backgrounds(tmp_path: Path) -> None:
     code, shown = play(tmp_path / "all.jsonl", ["submit slot 0"], "--role", "all", "--background", "scripted:unsafe")
     assert code == 0
     assert "You play manager_0, rxn_0, ext_0, dit_0" in shown
+
+
+def test_with_hidden_parameters_people_are_told_no_exact_scores_and_amounts() -> None:
+    arguments = ["play", "unlabelled", "--role", "rxn"]
+    shown = runner.invoke(app, arguments, input="\n".join(["T+ V-", *[""] * 19, "q"])).output
+    assert "experiment over\n" in shown
+    assert "safety: relief_valve_mol\n" in shown

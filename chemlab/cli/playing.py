@@ -64,7 +64,9 @@ class _Told:
             return
         self.flush()
         notes = ["invalid action: it had no effect"] if turn.info["illegal_action"] else []
-        notes += [f"safety: {words}" for words in event_words(named_events(labs.scenario, turn.info))]
+        events = event_words(named_events(labs.scenario, turn.info))
+        # With hidden parameters, exact amounts and scores would be readings free of charge.
+        notes += [f"safety: {words.split()[0] if labs.scenario.hides else words}" for words in events]
         if turn.info["experiment_over"] and turn.agent != labs.manager.name:
             notes.append(self._over(turn.agent))
         for note in notes:
@@ -72,6 +74,8 @@ class _Told:
 
     def _over(self, agent: str) -> str:
         labs = self._env.laboratories
+        if labs.scenario.hides:
+            return "experiment over"
         meaning = labs.roles[labs.agents.index(agent)].workplace.score_meaning
         return f"experiment over: {self._env.infos[agent]['score']:+.3f} {meaning}"
 

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from ..render.scene import Scene
 
 RENDER_MODES = ("ansi", "rgb_array", "rgb_array_true", "human")
-"""Render modes. ``rgb_array_true`` shows true contents even with hidden parameters; the others show what a person
-would see.
-"""
+"""Render modes. ``rgb_array_true`` shows true contents even with hidden parameters; the others what agents observe."""
 
 
 class Rendered:
@@ -49,8 +47,8 @@ class Rendered:
     def render(self) -> Any:  # versions of Gymnasium declare different types
         """Return a text (mode ``ansi``) or a picture [540, 960, 3] (``rgb_array``), or show it in a window (``human``).
 
-        In a scenario with hidden parameters these show what a person in the laboratory would see: fill levels and
-        layers, but not of what. ``rgb_array_true`` shows the true contents.
+        In a scenario with hidden parameters these show what the agents observe: fill levels, but not of what.
+        ``rgb_array_true`` shows the true contents.
 
         Raises:
             ImportError: Pillow, or for a window pygame, is not installed; the message names the extra.

@@ -327,16 +327,14 @@ class BenchEpisodes(RoleEpisodes):
         return [*self.batch.arrays(), *super().arrays()]
 
     def text(self) -> str:
-        experiments, bench = self.batch.experiments, self.bench
-        lines = [
-            f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[experiments.goal[0]]}, "
-            f"step {experiments.steps[0]}/{bench.spec.step_limit}"
-        ]
-        for p, position in enumerate(bench.positions):
-            vessel = self.batch.shelf.vessel(0, p)
-            lines.append(
-                f"  {position:<6} {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L, {vessel.temperature_k:.1f} K"
-            )
+        from ..render.scene import visible_scene
+
+        (seen,), experiments = visible_scene(self.scene(), self.scenario).benches, self.batch.experiments
+        doing = f"goal {self.bench.goals.names[experiments.goal[0]]}, step {experiments.steps[0]}/{seen.step_limit}"
+        lines = [f"{self.scenario.title} - {seen.key}, {doing}"]
+        for vessel in seen.vessels:
+            kelvin = "" if vessel.temperature_k is None else f", {vessel.temperature_k:.1f} K"
+            lines.append(f"  {vessel.position:<6} {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L{kelvin}")
         return "\n".join(lines)
 
     def scene(self) -> Scene:

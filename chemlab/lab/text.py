@@ -551,7 +551,7 @@ def describe_laboratory(labs: Laboratories) -> str:
         f"manager actions {state.actions[0]}/{scenario.limits.manager_actions}, "
         f"ticks {state.ticks[0]}/{scenario.limits.ticks}, turn: {turn}",
     ]
-    keys = list(scenario.benches)
+    keys, largest = list(scenario.benches), float(labs.rules.arrays.largest_capacity)
     for s in range(scenario.shelf.slots):
         vessel = labs.shelf.vessel(0, s)
         if not vessel.present:
@@ -559,7 +559,8 @@ def describe_laboratory(labs: Laboratories) -> str:
             lines.append(f"  slot {s}  {'(kept for ' + labs.bench_agents[holder] + ')' if holder >= 0 else '-'}")
             continue
         fill = shown_share(vessel.volume_l / vessel.capacity_l, scenario.shelf.gauge)
-        litres = f"{fill * vessel.capacity_l:.2f}/{vessel.capacity_l:.2f} L"
+        capacity = shown_share(vessel.capacity_l / largest, scenario.shelf.gauge) * largest
+        litres = f"{fill * capacity:.2f}/{capacity:.2f} L"
         bar = "#" * round(fill * _BAR)
         kind = int(state.last_bench[0, s])
         history = ""

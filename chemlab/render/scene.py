@@ -45,8 +45,8 @@ EVENT_WORDS = {
     "metal_in_water_mol": ("metal in water", " mol"),
 }
 """Safety events in words, and the units of their amounts."""
-_UNKNOWN = ("#b9cbd8", "#dbe6ee", "#c9d3bf", "#e6dfcf")
-"""Colours of layers of unknown materials, from the bottom up."""
+_UNKNOWN = "#b9cbd8"
+"""Colour of unknown contents."""
 _SHOWN_MOL = 5e-6
 """Amount in mol below which a material is not drawn."""
 
@@ -540,52 +540,76 @@ def _slot(labs: Laboratories, camera: Camera, member: int, s: int) -> SlotPictur
 def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
     """Return a scene without properties that agents can only measure.
 
-    These are the materials of layers, solutes, temperatures on the shelf, and fill levels beyond their resolution.
-    Orders that have not arrived are removed, too, and the result while the pay of submissions is not known. Without
-    hidden parameters, nothing else is removed.
+    Vessels keep their fill level, and at a bench the temperature and the camera picture that its agent observes. Fill
+    levels, stock, waste and safety events have the resolution of the shelf. Orders that have not arrived are removed,
+    too, and the result while agents do not know it. Without hidden parameters, nothing else is removed.
 
     Args:
         scene: scene with the true contents.
         scenario: scenario of the scene.
     """
-    if scenario.demand.feedback != 0.0 and scene.status == STATUS_WORDS[RUNNING]:
+    gauge, largest = scenario.shelf.gauge, scene.largest_capacity_l
+    if scene.status == STATUS_WORDS[RUNNING] and (gauge or scenario.demand.feedback != 0.0):
         scene = dataclasses.replace(scene, result=math.nan)
     if not scenario.world.draws:
         return scene
-    shelf = tuple(
-        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, scenario.shelf.gauge))
+    shelf = (
+        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge, largest))
         for slot in scene.shelf
     )
-    benches = tuple(_visible_bench(bench) for bench in scene.benches)
-    orders = tuple(order for order in scene.orders if order.arrives <= scene.ticks)
-    return dataclasses.replace(scene, orders=orders, shelf=shelf, benches=benches)
-
-
-def _opaque(vessel: VesselPicture, resolution: float) -> VesselPicture:
-    """Return a vessel of which only the fill level is visible."""
-    volume = shown_share(vessel.volume_l / vessel.capacity_l, resolution) * vessel.capacity_l
-    layers = (LayerPicture("", "liquid", volume, _UNKNOWN[0]),) if volume > 0.0 else ()
     return dataclasses.replace(
-        vessel, volume_l=volume, temperature_k=None, settling=1.0, layers=layers, mixture=(), contents=(), camera=()
+        scene,
+        orders=tuple(order for order in scene.orders if order.arrives <= scene.ticks),
+        stock=tuple(
+            dataclasses.replace(one, mol=shown_share(one.mol / (one.full_mol or 1.0), gauge) * one.full_mol)
+            for one in scene.stock
+        ),
+        waste_l=_rounded(scene.waste_l, gauge * largest),
+        safety=tuple((kind, _rounded(amount, gauge)) for kind, amount in scene.safety),
+        shelf=tuple(shelf),
+        benches=tuple(_visible_bench(bench, gauge, largest) for bench in scene.benches),
     )
 
 
-def _visible_bench(bench: BenchPicture) -> BenchPicture:
-    """Return a bench whose vessels show layers of unknown materials, and before the agent's first turn only volumes."""
-    if bench.busy and bench.step == 0 and not bench.turn:
-        return dataclasses.replace(bench, vessels=tuple(_opaque(vessel, 0.0) for vessel in bench.vessels), seen=())
-    vessels = tuple(
-        dataclasses.replace(
-            vessel,
-            layers=tuple(
-                LayerPicture("", layer.phase, layer.volume_l, _UNKNOWN[number % len(_UNKNOWN)])
-                for number, layer in enumerate(vessel.layers)
-            ),
-            contents=(),
-        )
-        for vessel in bench.vessels
+def _rounded(value: float, resolution: float) -> float:
+    """Return a value as a multiple of the resolution; 0: exactly."""
+    return resolution * math.floor(value / resolution + 0.5) if resolution else value
+
+
+def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPicture:
+    """Return a vessel of which only the fill level is visible.
+
+    Its capacity is rounded, too, because a piston may stop at the contents.
+    """
+    capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
+    volume = shown_share(vessel.volume_l / capacity, gauge) * capacity
+    return dataclasses.replace(
+        vessel,
+        capacity_l=capacity,
+        volume_l=volume,
+        temperature_k=None,
+        settling=1.0,
+        layers=(LayerPicture("", "liquid", volume, _UNKNOWN),) if volume > 0.0 else (),
+        mixture=(),
+        contents=(),
+        camera=(),
     )
-    return dataclasses.replace(bench, vessels=vessels)
+
+
+def _visible_bench(bench: BenchPicture, gauge: float, largest_l: float) -> BenchPicture:
+    """Return a bench with fill levels and, from its agent's first turn on, what the agent observes."""
+    hidden = bench.busy and bench.step == 0 and not bench.turn
+    seen = {} if hidden else {channel.name: channel for channel in bench.seen}
+    vessels = []
+    for vessel in bench.vessels:
+        shown = _opaque(vessel, gauge, largest_l)
+        if camera := seen.get(f"layers_{vessel.position}"):
+            shown = dataclasses.replace(shown, camera=camera.values)
+        if vessel.position == bench.positions[0] and (read := seen.get("temperature")):
+            shown = dataclasses.replace(shown, temperature_k=read.low + read.values[0] * (read.high - read.low))
+        vessels.append(shown)
+    events = tuple((kind, _rounded(amount, gauge)) for kind, amount in bench.events)
+    return dataclasses.replace(bench, vessels=tuple(vessels), seen=tuple(seen.values()), events=events)
 
 
 def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:

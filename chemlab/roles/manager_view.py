@@ -74,7 +74,7 @@ def _write_vessel(
         out[at] = 1.0
         out[at + 1] = shown_fill(row, rules, chem)
         out[at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
-        out[at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
+        out[at + 3] = shown_share(row[CAPACITY] / rules.largest_capacity, rules.gauge)  # an overfull one is larger
         out[at + 4 + state.last_bench[n, s]] = 1.0
         if state.last_bench[n, s] > 0:
             out[at + 5 + rules.kinds + state.last_position[n, s]] = 1.0

@@ -489,6 +489,7 @@ def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
         with pytest.raises(ToolError, match="measure: "):
             mistake()
     assert tools.get_reward() == pytest.approx(-0.02 - load_scenario("unlabelled").demand.missed)
+    assert "The episode is over" in tools.look(), "its exact score would tell what vessels hold"
 
 
 def test_an_argument_of_one_value_may_be_given_by_name() -> None:

@@ -308,3 +308,6 @@ def test_rendering_shows_no_contents() -> None:
     hidden = set(env.batch.scenario.materials) - {"dodecane"}  # the goal is known
     body = text.split("\n", 1)[1]
     assert not any(material in body for material in hidden)
+    env = RoleEnv("crude", bench="ext", render_mode="ansi")  # it hides temperatures, and shows volumes in quarters
+    env.reset(seed=0)
+    assert env.render().split("\n")[1:] == ["  EV     0.30/1.20 L", "  B1     0.00/1.20 L", "  B2     0.00/1.20 L"]

@@ -12,7 +12,7 @@ from chemlab.config.loading import load_scenario, plain_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
-from chemlab.physics.chemistry import AMOUNTS
+from chemlab.physics.chemistry import AMOUNTS, CAPACITY
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import SUBMIT
 
@@ -114,10 +114,16 @@ def test_feedback_comes_when_the_scenario_says_and_the_rewards_are_the_score() -
 
 def test_amounts_have_the_declared_resolution_in_observation_and_info() -> None:
     """A trace that a bench takes is no message: the manager sees the stock by the marks of the gauge."""
-    env = laboratory("unlabelled")
+    env = laboratory("unlabelled", render_mode="ansi")
     labs, gauge = env.laboratories, env.laboratories.scenario.shelf.gauge
     stock = channel_slices(labs.channels)["stock"]
-    before, costs = env.observe("manager_0")[stock].copy(), labs.costs()["stock"]
+    whole, text = env.observe("manager_0"), env.render()
+    labs.shelf.vessels[0, 0, CAPACITY] -= (
+        0.01  # an overfull vessel returns with a capacity that follows from its contents
+    )
+    assert (env.observe("manager_0") == whole).all()
+    assert env.render() == text
+    before, costs = whole[stock].copy(), labs.costs()["stock"]
     labs.shelf.stock[0] *= 0.99
     assert (env.observe("manager_0")[stock] == before).all()
     assert labs.costs()["stock"] == costs

@@ -1,5 +1,7 @@
 """Scenes say what is in the arrays, in true proportions, and leave the arrays as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import FEATURED, laboratory, manager, mapping, molar_volume
@@ -229,3 +231,27 @@ def test_a_bench_shows_nothing_before_its_first_turn() -> None:
     (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
     assert bench.seen
     assert bench.vessels[0].contents == ()
+
+
+@pytest.mark.parametrize(("name", "agent"), [("rush", "rxn_0"), ("unlabelled", "dit_0")])
+def test_pictures_of_hidden_parameters_have_the_resolution_of_observations(name: str, agent: str) -> None:
+    """At a bench no layer, piston or camera tells of the contents, and the stock no trace that a bench has taken."""
+    labs = Laboratories(name, 4)
+    labs.begin()
+    for action in (("start", agent, 0, labs.scenario.goals[0]), ("wait",)):
+        labs.act(0, labs.members, np.full(4, labs.actions.encode(*action)))
+    gauge, full = labs.scenario.shelf.gauge, labs.scenario.stock
+    labs.shelf.stock[:] *= 1.0 - 0.1 * gauge
+    labs.shelf.waste[:] = labs.safety_totals[:] = 1e-3
+    number, scenes = labs.bench_agents.index(agent), [laboratory_scene(labs, member) for member in range(4)]
+    assert len({scene.benches[number].vessels for scene in scenes}) == 4
+    seen = [visible_scene(scene, labs.scenario) for scene in scenes]
+    vessels = [[replace(vessel, camera=()) for vessel in scene.benches[number].vessels] for scene in seen]
+    assert all(own == vessels[0] for own in vessels)
+    assert [(bottle.material, bottle.mol) for bottle in seen[0].stock] == list(full.items())
+    assert (seen[0].waste_l, {amount for _, amount in seen[0].safety}) == (0.0, {0.0})
+    assert np.isnan(seen[0].result)
+    for scene in seen:
+        shown = {channel.name: channel.values for channel in scene.benches[number].seen}
+        for vessel in scene.benches[number].vessels:
+            assert vessel.camera == shown.get(f"layers_{vessel.position}", ())
