@@ -572,8 +572,8 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
 
 
 def _rounded(value: float, resolution: float) -> float:
-    """Return a value as a multiple of the resolution; 0: exactly."""
-    return resolution * math.floor(value / resolution + 0.5) if resolution else value
+    """Return a value as a multiple of the resolution (0: exactly); what is not 0 never reads 0."""
+    return resolution * max(math.floor(value / resolution + 0.5), 1.0) if resolution and value else value
 
 
 def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPicture:
@@ -581,7 +581,7 @@ def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPict
 
     Its capacity is rounded, too, because a piston may stop at the contents.
     """
-    capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
+    capacity = _rounded(vessel.capacity_l, gauge * largest_l)
     volume = shown_share(vessel.volume_l / capacity, gauge) * capacity
     return dataclasses.replace(
         vessel,
