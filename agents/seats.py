@@ -656,7 +656,7 @@ class LabTools:
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:
-        """End the episode, and return its raw score, which would be a reading free of charge while it runs."""
+        """End the episode for all seats, and return the raw score: during the episode it would be a free reading."""
         self._room.close()
         return self._room.score
 

@@ -89,7 +89,8 @@ class ShelfSpec(DataModel):
     gauge: float = Field(default=0.0, ge=0.0, le=0.5)
     """Resolution of what the manager observes of amounts; 0: exact.
 
-    It is a share of the capacity for fill levels and waste, and of the first stock for bottles and their costs.
+    It is a share of the capacity for fill levels, of the largest capacity for capacities and waste, and of the first
+    stock for bottles and their costs.
     """
     tick: float = Field(default=0.0, ge=0.0, le=1e6)
     """Reaction time per tick for vessels at rest, in the unit of the rate constants.

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from ..render.scene import Scene
 
 RENDER_MODES = ("ansi", "rgb_array", "rgb_array_true", "human")
-"""Render modes. ``rgb_array_true`` shows true contents even with hidden parameters; the others what agents observe."""
+"""Render modes. With hidden parameters, ``rgb_array_true`` shows true contents; the others only fill levels and what
+agents observe.
+"""
 
 
 class Rendered:
@@ -47,7 +49,8 @@ class Rendered:
     def render(self) -> Any:  # versions of Gymnasium declare different types
         """Return a text (mode ``ansi``) or a picture [540, 960, 3] (``rgb_array``), or show it in a window (``human``).
 
-        In a scenario with hidden parameters these show what the agents observe: fill levels, but not of what.
+        In a scenario with hidden parameters these show only fill levels, as the shelf's gauge reads them, and what the
+        agents observe.
         ``rgb_array_true`` shows the true contents.
 
         Raises:
@@ -69,7 +72,7 @@ class Rendered:
         return frame
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the picture that a person in the laboratory would see."""
+        """Return what a notebook shows: the picture of :meth:`render`."""
         text = f"<pre>{html.escape(repr(self))}</pre>"
         try:
             from ..render.frames import Viewer, picture_html

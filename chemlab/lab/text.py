@@ -559,7 +559,9 @@ def describe_laboratory(labs: Laboratories) -> str:
             lines.append(f"  slot {s}  {'(kept for ' + labs.bench_agents[holder] + ')' if holder >= 0 else '-'}")
             continue
         fill = shown_share(vessel.volume_l / vessel.capacity_l, scenario.shelf.gauge)
-        capacity = shown_share(vessel.capacity_l / largest, scenario.shelf.gauge) * largest
+        capacity = vessel.capacity_l
+        if scenario.shelf.gauge:
+            capacity = shown_share(capacity / largest, scenario.shelf.gauge) * largest
         litres = f"{fill * capacity:.2f}/{capacity:.2f} L"
         bar = "#" * round(fill * _BAR)
         kind = int(state.last_bench[0, s])

@@ -551,7 +551,7 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
     gauge, largest = scenario.shelf.gauge, scene.largest_capacity_l
     if scene.status == STATUS_WORDS[RUNNING] and (gauge or scenario.demand.feedback != 0.0):
         scene = dataclasses.replace(scene, result=math.nan)
-    if not scenario.world.draws:
+    if not scenario.hides:
         return scene
     shelf = (
         slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge, largest))
@@ -565,15 +565,20 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
             for one in scene.stock
         ),
         waste_l=_rounded(scene.waste_l, gauge * largest),
-        safety=tuple((kind, _rounded(amount, gauge)) for kind, amount in scene.safety),
+        safety=_visible_events(scene.safety, gauge),
         shelf=tuple(shelf),
         benches=tuple(_visible_bench(bench, gauge, largest) for bench in scene.benches),
     )
 
 
 def _rounded(value: float, resolution: float) -> float:
-    """Return a value as a multiple of the resolution (0: exactly); what is not 0 never reads 0."""
-    return resolution * max(math.floor(value / resolution + 0.5), 1.0) if resolution and value else value
+    """Return a value as a multiple of the resolution; 0: exactly."""
+    return resolution * math.floor(value / resolution + 0.5) if resolution else value
+
+
+def _visible_events(events: tuple[tuple[str, float], ...], gauge: float) -> tuple[tuple[str, float], ...]:
+    """Return safety events with the resolution of the shelf, without those whose amount reads 0."""
+    return tuple((kind, shown) for kind, amount in events if (shown := _rounded(amount, gauge)) > 0.0)
 
 
 def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPicture:
@@ -581,8 +586,8 @@ def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPict
 
     Its capacity is rounded, too, because a piston may stop at the contents.
     """
-    capacity = _rounded(vessel.capacity_l, gauge * largest_l)
-    volume = shown_share(vessel.volume_l / capacity, gauge) * capacity
+    capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
+    volume = shown_share(vessel.volume_l / vessel.capacity_l, gauge) * capacity
     return dataclasses.replace(
         vessel,
         capacity_l=capacity,
@@ -608,7 +613,7 @@ def _visible_bench(bench: BenchPicture, gauge: float, largest_l: float) -> Bench
         if vessel.position == bench.positions[0] and (read := seen.get("temperature")):
             shown = dataclasses.replace(shown, temperature_k=read.low + read.values[0] * (read.high - read.low))
         vessels.append(shown)
-    events = tuple((kind, _rounded(amount, gauge)) for kind, amount in bench.events)
+    events = _visible_events(bench.events, gauge)
     return dataclasses.replace(bench, vessels=tuple(vessels), seen=tuple(seen.values()), events=events)
 
 

@@ -201,6 +201,6 @@ class Rules(NamedTuple):
     least_fill: Annotated[float, Field("")]
     """minimum fill level, as observed, of a vessel that may be submitted"""
     gauge: Annotated[float, Field("")]
-    """resolution of fill levels as a share of the capacity, and of stock as a share of the first; 0: exact"""
+    """resolution of fill levels and capacities as a share, and of stock as a share of the first; 0: exact"""
     work: Annotated[FloatArray, Field("a b")]
     """scratch"""

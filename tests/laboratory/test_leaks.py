@@ -118,9 +118,8 @@ def test_amounts_have_the_declared_resolution_in_observation_and_info() -> None:
     labs, gauge = env.laboratories, env.laboratories.scenario.shelf.gauge
     stock = channel_slices(labs.channels)["stock"]
     whole, text = env.observe("manager_0"), env.render()
-    labs.shelf.vessels[0, 0, CAPACITY] -= (
-        0.01  # an overfull vessel returns with a capacity that follows from its contents
-    )
+    # An overfull vessel returns with a capacity that follows from its contents.
+    labs.shelf.vessels[0, 0, CAPACITY] -= 0.01
     assert (env.observe("manager_0") == whole).all()
     assert env.render() == text
     before, costs = whole[stock].copy(), labs.costs()["stock"]

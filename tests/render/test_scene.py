@@ -13,6 +13,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.chemistry import AMOUNTS, CAPACITY
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.render.scene import (
     MIXTURE_SLICES,
@@ -243,14 +244,19 @@ def test_pictures_of_hidden_parameters_have_the_resolution_of_observations(name:
     gauge, full = labs.scenario.shelf.gauge, labs.scenario.stock
     labs.shelf.stock[:] *= 1.0 - 0.1 * gauge
     labs.shelf.waste[:] = labs.safety_totals[:] = 1e-3
+    for member, row in enumerate(labs.shelf.vessels[:, 1]):  # an overfull vessel
+        row[AMOUNTS:] *= 1.0 + 0.01 * member
+        row[CAPACITY] = labs.shelf.vessel(member, 1).volume_l / 0.98
     number, scenes = labs.bench_agents.index(agent), [laboratory_scene(labs, member) for member in range(4)]
     assert len({scene.benches[number].vessels for scene in scenes}) == 4
     seen = [visible_scene(scene, labs.scenario) for scene in scenes]
     vessels = [[replace(vessel, camera=()) for vessel in scene.benches[number].vessels] for scene in seen]
     assert all(own == vessels[0] for own in vessels)
     assert [(bottle.material, bottle.mol) for bottle in seen[0].stock] == list(full.items())
-    assert (seen[0].waste_l, {amount for _, amount in seen[0].safety}) == (gauge * seen[0].largest_capacity_l, {gauge})
+    assert (seen[0].waste_l, seen[0].safety) == (0.0, ())
     assert np.isnan(seen[0].result)
+    full_ones = [scene.shelf[1].vessel for scene in seen]
+    assert all(vessel is not None and vessel.volume_l == vessel.capacity_l for vessel in full_ones)
     for scene in seen:
         shown = {channel.name: channel.values for channel in scene.benches[number].seen}
         for vessel in scene.benches[number].vessels:
