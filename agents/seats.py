@@ -24,7 +24,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Players
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import RoleText, folded_lines
+from chemlab.lab.text import RoleText, event_words, folded_lines
 from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench, channel_slices
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
@@ -346,8 +346,9 @@ class Room:
                 self._notices[agent].append("Experiment over" + ("." if hides else f": score {score:+.3f}."))
         if labs.agents[index] in self.seats:
             events = labs.events(index).items()
-            amounts = [kind if hides else f"{kind} {amount:.3g}" for kind, amount in events]
-            self._notices[labs.agents[index]] += [f"Safety event: {words}." for words in amounts]
+            described = [event_words(kind, amount) for kind, amount in events]
+            told = [one[0] if hides else " ".join(one) for one in described]
+            self._notices[labs.agents[index]] += [f"Safety event: {words}." for words in told]
 
     def play(self, agent: str, action: Any) -> None:
         """Play the current turn of a seat with an action of the background policy.

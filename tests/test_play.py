@@ -73,4 +73,4 @@ def test_with_hidden_parameters_people_are_told_no_exact_scores_and_amounts() ->
     arguments = ["play", "unlabelled", "--role", "rxn"]
     shown = runner.invoke(app, arguments, input="\n".join(["T+ V-", *[""] * 19, "q"])).output
     assert "experiment over\n" in shown
-    assert "safety: relief_valve_mol\n" in shown
+    assert "safety: relief valve\n" in shown

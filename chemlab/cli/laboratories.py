@@ -23,7 +23,7 @@ from .options import (
     chosen_agents,
     prepare,
 )
-from .screen import counting, event_words, hanging, out, page, plain, show_table
+from .screen import counting, hanging, out, page, plain, safety_words, show_table
 
 if TYPE_CHECKING:
     from ..agents.episodes import EpisodeResult, PlayedTurn
@@ -266,7 +266,7 @@ class _Account:
         if turn.info["illegal_action"]:
             notes.append("[yellow]invalid action: it had no effect[/yellow]")
         events = named_events(labs.scenario, turn.info)
-        notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(events)]
+        notes += [f"[red]safety: {plain(words)}[/red]" for words in safety_words(events)]
         score = turn.info["score"] if turn.agent != labs.manager.name and turn.info["experiment_over"] else None
         outcome = self._outcome(turn, score)
         if notes or outcome:
@@ -312,7 +312,7 @@ def _show_results(results: list[EpisodeResult]) -> None:
     rows: list[tuple[Any, ...]] = []
     for r in results:
         numbers = (f"{r.submitted_mol:.3f}", f"{r.purity:.3f}", f"{sum(r.costs.values()):.4f}", f"{r.score:.3f}")
-        events = ", ".join(event_words(r.safety_events)) or "none"
+        events = ", ".join(safety_words(r.safety_events)) or "none"
         rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
     if len(results) > 1:
         numbers_of = [(r.submitted_mol, r.purity, sum(r.costs.values()), r.score) for r in results]

@@ -19,7 +19,7 @@ from .options import (
     chosen_agents,
     prepare,
 )
-from .screen import err, event_words, out, page, plain
+from .screen import err, out, page, plain, safety_words
 
 if TYPE_CHECKING:
     from ..agents.episodes import PlayedTurn
@@ -64,9 +64,9 @@ class _Told:
             return
         self.flush()
         notes = ["invalid action: it had no effect"] if turn.info["illegal_action"] else []
-        events = event_words(named_events(labs.scenario, turn.info))
         # With hidden parameters, exact amounts and scores would be readings free of charge.
-        notes += [f"safety: {words.split()[0] if labs.scenario.hides else words}" for words in events]
+        events = safety_words(named_events(labs.scenario, turn.info), amounts=not labs.scenario.hides)
+        notes += [f"safety: {words}" for words in events]
         if turn.info["experiment_over"] and turn.agent != labs.manager.name:
             notes.append(self._over(turn.agent))
         for note in notes:

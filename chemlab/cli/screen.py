@@ -76,9 +76,12 @@ def hanging(head: str, body: str) -> None:
             out.print(Text(" " * indent) + part)
 
 
-def event_words(events: Mapping[str, float]) -> list[str]:
-    """Describe the safety events that happened, with their amounts."""
-    return [f"{kind} {amount:.3g}" for kind, amount in events.items() if amount >= _NOISE]
+def safety_words(events: Mapping[str, float], amounts: bool = True) -> list[str]:
+    """Describe the safety events that happened, with or without their amounts."""
+    from ..lab.text import event_words
+
+    described = [event_words(kind, amount) for kind, amount in events.items() if amount >= _NOISE]
+    return [" ".join(one) if amounts else one[0] for one in described]
 
 
 def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], right: Iterable[int] = ()) -> None:

@@ -38,9 +38,23 @@ The first that lists at most :data:`_MOST_ZONES` zones is used: a stirred vessel
 _MOST_ZONES = 6
 _COLUMNS = " | "
 """Between the cells of an order and the heads of their columns."""
+EVENT_WORDS = {
+    "spill_l": ("spilled", " L"),
+    "relief_valve_mol": ("relief valve", " mol"),
+    "boiled_dry": ("boiled dry", "x"),
+    "dry_heating": ("heated dry", "x"),
+    "metal_in_water_mol": ("metal in water", " mol"),
+}
+"""Safety events in words, and the units of their amounts."""
 _READING = re.compile(r"(\S+ at tick \S+): (.*)")
 _ZEROS = re.compile(r"(\d)(?:(\.\d*[1-9])|\.)0+(?!\d)")
 _SHARES = re.compile(r"(\S+ [\d.]+%(, |$))+")
+
+
+def event_words(kind: str, amount: float) -> tuple[str, str]:
+    """Return a safety event in words, and its amount with its unit."""
+    words, unit = EVENT_WORDS.get(kind, (kind.replace("_", " "), ""))
+    return words, f"{amount:.3g}{unit}"
 
 
 def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:

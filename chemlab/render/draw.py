@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..lab.text import EVENT_WORDS, event_words
 from .canvas import Box, Canvas, Image, ImageDraw, TextBox, text_width
 from .scene import (
-    EVENT_WORDS,
     BenchPicture,
     ChannelPicture,
     LayerPicture,
@@ -26,7 +26,6 @@ from .scene import (
     Scene,
     SlotPicture,
     VesselPicture,
-    event_words,
 )
 
 _UNITS = (960.0, 540.0)

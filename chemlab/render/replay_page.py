@@ -22,14 +22,14 @@ from pydantic import BaseModel, ConfigDict
 from ..config.datafile import DataError, read_text
 from ..config.scenario import Scenario
 from ..lab.engine import Laboratories
-from ..lab.text import action_words, reading_words
+from ..lab.text import action_words, event_words, reading_words
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..physics.transfer import liquid_volume
 from ..record import LIMITS, Play, Record, RecordError, Replay, verify_record
 from ..record.recorder import turn_facts
 from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_WORDS
-from .scene import Camera, Scene, event_words, laboratory_scene
+from .scene import Camera, Scene, laboratory_scene
 
 _DIGITS = 4
 _LONG = 30

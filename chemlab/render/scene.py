@@ -37,24 +37,10 @@ from ..roles.manager_view import shown_share
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
 """A profile within this distance of the stacked layers is drawn as stacked layers."""
-EVENT_WORDS = {
-    "spill_l": ("spilled", " L"),
-    "relief_valve_mol": ("relief valve", " mol"),
-    "boiled_dry": ("boiled dry", "x"),
-    "dry_heating": ("heated dry", "x"),
-    "metal_in_water_mol": ("metal in water", " mol"),
-}
-"""Safety events in words, and the units of their amounts."""
 _UNKNOWN = "#b9cbd8"
 """Colour of unknown contents."""
 _SHOWN_MOL = 5e-6
 """Amount in mol below which a material is not drawn."""
-
-
-def event_words(kind: str, amount: float) -> tuple[str, str]:
-    """Return a safety event in words, and its amount with its unit."""
-    words, unit = EVENT_WORDS.get(kind, (kind.replace("_", " "), ""))
-    return words, f"{amount:.3g}{unit}"
 
 
 @dataclass(frozen=True)
@@ -553,10 +539,6 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
         scene = dataclasses.replace(scene, result=math.nan)
     if not scenario.hides:
         return scene
-    shelf = (
-        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge, largest))
-        for slot in scene.shelf
-    )
     return dataclasses.replace(
         scene,
         orders=tuple(order for order in scene.orders if order.arrives <= scene.ticks),
@@ -566,7 +548,10 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
         ),
         waste_l=_rounded(scene.waste_l, gauge * largest),
         safety=_visible_events(scene.safety, gauge),
-        shelf=tuple(shelf),
+        shelf=tuple(
+            slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, gauge, largest))
+            for slot in scene.shelf
+        ),
         benches=tuple(_visible_bench(bench, gauge, largest) for bench in scene.benches),
     )
 
@@ -586,7 +571,7 @@ def _opaque(vessel: VesselPicture, gauge: float, largest_l: float) -> VesselPict
 
     Its capacity is rounded, too, because a piston may stop at the contents.
     """
-    capacity = max(_rounded(vessel.capacity_l, gauge * largest_l), gauge * largest_l)
+    capacity = shown_share(vessel.capacity_l / largest_l, gauge) * largest_l
     volume = shown_share(vessel.volume_l / vessel.capacity_l, gauge) * capacity
     return dataclasses.replace(
         vessel,

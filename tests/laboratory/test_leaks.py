@@ -216,8 +216,9 @@ def test_a_gauge_without_noise_reads_the_same_in_every_world(name: str, agent: s
     labs.begin()
     role, everywhere = next(role for role in labs.bench_roles if role.name == agent), labs.members
     at, bench = channel_slices(role.channels)[channel], role.workplace
-    pushed = np.full(8, bench.end_action) if bench.action_count else np.ones((8, *bench.action_space.shape))
+    pushed = np.full(8, bench.end_action)
     if not bench.action_count:
+        pushed = np.ones((8, *bench.action_space.shape))
         pushed[:, :2] = 0.5, 0.0  # the piston in, and all reagents
     for _ in range(3):
         for action in (("start", agent, 0, labs.scenario.goals[0]), ("wait",)):
