@@ -136,6 +136,20 @@ def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
     assert {key for key, share in off.items() if abs(share) > 0.03} == set()
 
 
+def test_names_are_compared_as_the_table_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of the hundred names; the page counts the comparisons."""
+    study = everyday(monkeypatch)
+    with (ROOT / "studies" / "physics" / "everyday.csv").open(encoding="utf-8", newline="") as file:
+        stored = {name: list(map(float, numbers)) for name, _, *numbers in itertools.islice(csv.reader(file), 1, None)}
+    monkeypatch.setattr(study, "names", lambda: ["acetic acid", "DIPEA"])
+    for row in study.rows():
+        assert list(row[2:]) == pytest.approx(stored[row.name], rel=1e-5, nan_ok=True)
+    counts = np.isfinite(list(stored.values())).sum(axis=0)
+    page = (ROOT / "docs" / "chemist" / "distillation.md").read_text(encoding="utf-8")
+    assert f"{counts[0]} boiling points" in page
+    assert f"{counts[2]} densities" in page
+
+
 def test_mixtures_by_lot_boil_as_the_table_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three of the page's ten mixtures, misses included."""
     study = everyday(monkeypatch)

@@ -1,5 +1,6 @@
 """Activity coefficients: NRTL, pair files and refusals, bundled pairs against UNIFAC and measured azeotropes."""
 
+import csv
 import itertools
 import math
 import subprocess
@@ -148,6 +149,21 @@ def oriented(one: str, other: str, temperature: float, x: float) -> np.ndarray:
     """ln gamma of ``one`` and ``other`` by the shipped pair, whichever of them it names first."""
     pair = shipped_pairs()[frozenset((one, other))]
     return log_gamma(pair, temperature, x) if pair.of[0] == one else log_gamma(pair, temperature, 1.0 - x)[::-1]
+
+
+def test_stored_cuts_are_those_of_the_bench(study: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a folder of runs, the rows of trained agents stay as they are."""
+    front, written = study("front"), []
+    with front.TABLE.open(encoding="utf-8", newline="") as file:
+        stored = [list(row.values()) for row in csv.DictReader(file) if row["at"] == "400" or row["by"] == "PPO"]
+    monkeypatch.setattr(front, "CUTS_K", np.array([400.0]))
+    monkeypatch.setattr(front, "write", lambda _, __, rows: written.extend(rows))
+    monkeypatch.setattr(front, "draw", lambda _: None)
+    monkeypatch.setattr(sys, "argv", ["front.py"])
+    front.main()
+    for row, old in zip(written, stored, strict=True):
+        assert row[:2] == old[:2]
+        assert list(map(float, row[2:])) == pytest.approx(list(map(float, old[2:])), abs=5e-4)
 
 
 def test_activity_coefficients_are_those_of_unifac(study: Callable[[str], Any]) -> None:

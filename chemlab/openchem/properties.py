@@ -122,19 +122,14 @@ _AGREE_SHARE = 0.08
 """Maximum distance from the median relative to it, for temperature-dependent properties."""
 _UNITS = {"Tb": ("K", 1.0), "Tm": ("K", 1.0), "Tc": ("K", 1.0), "Pc": ("kPa", 1e3)}
 _BELOW_K = 50.0
-"""Distance in K below the estimate from which a boiling point of a single compilation counts as measured in vacuum.
-
-Of 5,400 compounds whose compilations agree, 4 % are below it (half of them nitro compounds, nitriles, fluorides and
-compounds that decompose); of 5,600 with a single compilation, 37 %.
-"""
+"""Distance in K below the estimate from which a boiling point of a single compilation counts as measured in vacuum."""
 _REMEMBERED = f"{_CRC} (as remembered, not looked up)"
 _USUAL_FORM = {"Sn": (7.287, f"white tin, {_REMEMBERED}"), "C": (2.2, f"graphite, {_REMEMBERED}")}
 """Density in kg/L of elements for which thermo's compilation has another form (grey tin) or none."""
 _FACTOR = {"l": 1.4, "s": 1.5}
 """Maximum ratio of a heat capacity and its estimates, up and down.
 
-For liquids whose compilations agree, no ratio exceeds 1.31. Estimates of solids are coarser: such a number is marked as
-doubtful and used.
+Estimates of solids are coarser: such a number is marked as doubtful and used.
 """
 _WITNESS = 0.25
 """Maximum relative distance of a vapour pressure from an atmosphere that confirms a boiling point."""

@@ -2,7 +2,6 @@
 
     python studies/physics/front.py                      # scripted cuts: writes front.csv and the figure
     python studies/physics/front.py --trained FOLDER     # trained agents as well; missing ones are trained
-    python studies/physics/front.py --figure             # docs/images/front.png from the existing table
 
 Scripted: the pot is heated in steps of 1 kJ until it reaches a temperature, with columns of several numbers of
 theoretical stages. Trained: one PPO agent for each required purity (`studies/physics/front.toml`), trained from
@@ -113,7 +112,7 @@ def run_of(folder: Path, grade: str) -> Path:
         scenario,
         f'base = "{(HERE / "front.toml").as_posix()}"\nname = "front_{grade}"\nremove = {json.dumps(others)}\n',
     )
-    command = ["train", "chemlab/Bench-v1", "--scenario", scenario, "--bench", BENCH, "--preset", "ppo-entropy"]
+    command = ["train", scenario, "--bench", BENCH, "--preset", "ppo-entropy"]
     command += ["--trust", "--steps", str(STEPS), "--out", folder / grade]
     subprocess.run([sys.executable, "-m", "chemlab", *command], check=True)
     return folder / grade
@@ -138,15 +137,13 @@ def trained(folder: Path) -> Iterator[dict[str, Any]]:
         yield row("PPO", grade.purity_at_least, purity.mean(), (mol / pots.begun).mean())
 
 
-def draw() -> None:
+def draw(rows: list[dict[str, Any]]) -> None:
     """Draw the table as a figure."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    with TABLE.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     for by in dict.fromkeys(one["by"] for one in rows):
         own = [
@@ -163,14 +160,14 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trained", type=Path, metavar="FOLDER", help="folder of the training runs")
-    parser.add_argument("--figure", action="store_true", help="draw the existing table")
-    chosen = parser.parse_args()
-    if not chosen.figure:
-        rows = [line for stages in STAGES for line in scripted(stages)]
-        rows += scripted(5, WATER)
-        rows += trained(chosen.trained) if chosen.trained else []
-        write(TABLE.name, list(rows[0]), [list(line.values()) for line in rows])
-    draw()
+    folder = parser.parse_args().trained
+    with TABLE.open(newline="", encoding="utf-8") as file:
+        before = [one for one in csv.DictReader(file) if one["by"] == "PPO"]
+    rows = [line for stages in STAGES for line in scripted(stages)]
+    rows += scripted(5, WATER)
+    rows += trained(folder) if folder else before
+    write(TABLE.name, list(rows[0]), [list(line.values()) for line in rows])
+    draw(rows)
 
 
 if __name__ == "__main__":
