@@ -5,8 +5,8 @@
 Every optimizer has the same hidden worlds (split ``test``) and all 24 vessels of each, two at a time. After every
 experiment, the recipe with the best measured value so far is recommended. Its regret is its distance from the oracle,
 1 - (value - random) / (oracle - random): values without noise; the oracle is the best recipe that a search with the
-hidden parameters finds, random the mean of recipes drawn uniformly. The tables of
-``docs/chemist/campaign.md`` are written, and ``--figure`` draws the curves.
+hidden parameters finds, random the mean of recipes drawn uniformly. ``--figure`` draws the curves. With the committed
+``results.json`` as ``--out``, the tables of ``docs/chemist/campaign.md`` are written, too.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "chemist" / "campaign.md"
+STORED = Path(__file__).resolve().with_name("results.json")
 
 OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client", "learned", "ppo")
 _TRAINED = ("learned", "ppo")
@@ -190,8 +191,9 @@ def main() -> None:
         if given.out is not None:
             given.out.write_text(json.dumps(found) + "\n", encoding="utf-8")
     found["regret"] = {name: found["regret"][name] for name in OPTIMIZERS if name in found["regret"]}
-    replace_between(PAGE, "regret", table(found))
-    if "fixed" in found:
+    print(*table(found), sep="\n")
+    if given.out is not None and given.out.resolve() == STORED:
+        replace_between(PAGE, "regret", table(found))
         replace_between(PAGE, "fixed", fixed_table(found))
     if given.figure is not None:
         figure(found, given.figure)
