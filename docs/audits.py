@@ -88,7 +88,7 @@ def tasks() -> list[str]:
                 score = statistics.median(run["audited"] for run in own)
                 most, value = reached, f"{min((score - zero) / (one - zero), 1.0):.2f}{words}"
         scores = [f"{audit[name]['value']:.2f}" for name in ("open_loop", "reference")]
-        best = f"{audit['best']['value']:.2f}, {audit['best']['way']}"
+        best = f"{audit['best']['value']:.2f}, `{audit['best']['way']}`"
         hidden = "; ".join(hidden_words(scenario))
         rows.append([f"`{scenario.name}`", ", ".join(scenario.benches), hidden, *scores, value, best])
     said = ("scenario", "benches", "what is hidden")
