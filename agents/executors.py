@@ -173,14 +173,15 @@ class Workers(ThreadPoolExecutor):
             except self._backend.lost as lost:
                 reason = lost
                 continue
-            if isinstance(error, WorkerLost):
+            if isinstance(error, (WorkerLost, *self._backend.lost)):  # submitit raises its own within the job
                 reason = error
                 continue
             if error is not None:
                 raise error from RuntimeError(f"in a worker:\n{trace}")
             return value
         raise WorkerLost(
-            f"a job's worker was lost {ATTEMPTS} times: it was killed or ran out of memory (use fewer --processes). "
+            f"a job's worker was lost {ATTEMPTS} times: it was refused, was killed, or ran out of memory (use fewer "
+            f"--processes) or time (Slurm: SBATCH_TIMELIMIT); last: {' '.join(str(reason).split())[-500:]}. "
             "Finished jobs are kept if there is an output folder: the same command resumes"
         ) from reason
 
@@ -395,6 +396,7 @@ def run_chemlab(words: Sequence[str], log: Path) -> int:
     """
     # Threads of numerical libraries would compete with other jobs for the core.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    log.parent.mkdir(parents=True, exist_ok=True)  # a node may not yet see a folder that another one has made
     with log.open("ab") as output:
         streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": output, "stderr": subprocess.STDOUT}
         with subprocess.Popen([sys.executable, "-c", _CHILD, *words], env={**os.environ, **single}, **streams) as child:
@@ -403,6 +405,6 @@ def run_chemlab(words: Sequence[str], log: Path) -> int:
                 code = child.wait()
             finally:
                 _running.discard(child)
-    if code == -9:
-        raise WorkerLost(f"{log}: the command was killed")
+    if code < 0:
+        raise WorkerLost(f"{log}: the command was killed by signal {-code}")
     return code

@@ -31,11 +31,11 @@ _MOST_BYTES = 2_000_000_000
 
 
 def state_folder() -> Path:
-    """Return the folder of this user's key."""
+    """Return the folder of this user's key; ``~`` is the home folder, which some users of containers do not have."""
     for name, below in (("CHEMLAB_STATE_DIR", ""), ("XDG_STATE_HOME", "chemlab"), ("LOCALAPPDATA", "chemlab")):
         if os.environ.get(name):
             return Path(os.environ[name], below)
-    return Path.home() / ".local" / "state" / "chemlab"
+    return Path("~/.local/state/chemlab")
 
 
 @functools.cache
@@ -43,9 +43,10 @@ def _key(folder: Path) -> bytes:
     """Return the key of a folder; create it if there is none."""
     file = folder / "seal.key"
     try:
+        file = file.expanduser()
         if not file.exists():
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            draft = folder / f".draft-{secrets.token_hex(8)}"
+            file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            draft = file.parent / f".draft-{secrets.token_hex(8)}"
             with open(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "wb") as handle:
                 handle.write(secrets.token_bytes(_KEY_BYTES))
                 os.fsync(handle.fileno())
@@ -56,10 +57,10 @@ def _key(folder: Path) -> bytes:
             finally:
                 draft.unlink()
         key = read_bytes(file, _SEAL_BYTES)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # without a home folder, a RuntimeError
         warnings.warn(
-            f"{file}: no key for signatures ({error.strerror}): other processes need --trust to load the files of this "
-            "one; set CHEMLAB_STATE_DIR to a writable folder",
+            f"no key for signatures ({error}): other processes need --trust to load the files of this one; set "
+            "CHEMLAB_STATE_DIR to a writable folder",
             stacklevel=3,
         )
         return secrets.token_bytes(_KEY_BYTES)

@@ -760,8 +760,10 @@ def notebook(page: str) -> str:
         found = re.fullmatch(r"```(\w+)\n(?:# file: (\S+)\n)?(.*)```\n", part, re.S)
         cell = {"cell_type": "code" if found else "markdown", "metadata": {}, "source": part.strip()}
         if found:
-            head = f"%%writefile {found[2]}\n" if found[2] else "%%bash\n" if found[1] == "bash" else ""
-            cell |= {"source": head + found[3].rstrip(), "outputs": [], "execution_count": None}
+            text = f"%%writefile {found[2]}\n{found[3]}" if found[2] else found[3]
+            if found[1] == "bash":  # in the system's shell: on Windows, there may be no bash
+                text = re.sub(r"^(?=chemlab )", "!", re.sub(r"\\\n +", "", text), flags=re.M)
+            cell |= {"source": text.rstrip(), "outputs": [], "execution_count": None}
         if cell["source"]:
             cells.append(cell)
     return json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}, indent=1) + "\n"

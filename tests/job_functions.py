@@ -11,10 +11,11 @@ from chemlab.config.parts import may_run
 
 
 def killed_at_first(number: int, folder: Path, times: int) -> int:
-    """The square; number 2's process is killed the first times that it is begun."""
+    """The square; number 2's process is killed the first times that it is begun, the second time as by a time limit."""
     (folder / f"begun-{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
-    if number == 2 and len(list(folder.glob("begun-2-*"))) <= times:
-        os.kill(os.getpid(), signal.SIGKILL)
+    begun = len(list(folder.glob("begun-2-*")))
+    if number == 2 and begun <= times:
+        os.kill(os.getpid(), signal.SIGUSR2 if begun == 2 else signal.SIGKILL)
     return number * number
 
 

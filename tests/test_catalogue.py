@@ -22,6 +22,7 @@ from chemlab.config.catalogue import (
     keep_pairs,
     matches,
     spellings,
+    user_folder,
 )
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import load_materials, shipped_materials
@@ -48,6 +49,13 @@ BOILS_ELSEWHERE = {
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing that this machine has kept takes part."""
     monkeypatch.setenv("CHEMLAB_CATALOGUE", str(tmp_path / "kept"))
+
+
+def test_without_a_home_folder_chemicals_are_kept_in_the_working_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CHEMLAB_CATALOGUE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", str)
+    assert user_folder() == Path(".cache/chemlab/catalogue")
 
 
 @pytest.mark.parametrize("name", [*NAMES, *map(str.upper, NAMES[:10])])

@@ -22,6 +22,7 @@ import re
 import time
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.files import write_json
 from chemlab.config.parts import may_run
 
-from ..executors import WorkerLost, run_chemlab
+from ..executors import run_chemlab
 from ..runs import Run, RunBusy, differences
 from .arguments import Arguments, filled, training_arguments
 from .tasks import task_fingerprint
@@ -206,7 +207,7 @@ def run_sweep(
         for future in [future for future in active if future.done()]:
             one = active.pop(future)
             changed.add(one.name)
-            code = _exit_code(future)
+            code = _exit_code(future, one.log)
             if code == RunBusy.exit_code:  # another sweep has just started it
                 queue.append(one)
             elif code != 0:
@@ -232,9 +233,14 @@ def _command(one: Planned) -> list[str]:
     return [*words, "--trust"] if may_run(otherwise=False) else words
 
 
-def _exit_code(future: Future[int]) -> int:
-    """Return the exit code of a finished command; -9, as of a killed process, if its worker is lost."""
+def _exit_code(future: Future[int], log: Path) -> int:
+    """Return the exit code of a finished command; -9, as of a killed process, and the reason in its log if it had none.
+
+    Its worker was lost, or could not start it: a run that fails must not end the others.
+    """
     try:
         return future.result()
-    except WorkerLost:
+    except OSError as error:
+        with suppress(OSError), log.open("a", encoding="utf-8") as output:
+            output.write(f"{error}\n")
         return -9

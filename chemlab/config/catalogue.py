@@ -100,7 +100,8 @@ class CataloguePair(NamedTuple):
 def user_folder() -> Path:
     """The folder of chemicals that were added on this machine: ``CHEMLAB_CATALOGUE``, or in the user's cache."""
     own = os.environ.get("CHEMLAB_CATALOGUE")
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    # Users without a home folder, as in some containers, have it in the working directory.
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache").removeprefix("~/")
     return Path(own) if own else Path(cache) / "chemlab" / "catalogue"
 
 

@@ -32,22 +32,22 @@ def folder(module: str) -> Path | None:
     It is below ``NUMBA_CACHE_DIR`` or the user's cache. None if kernels cannot be stored.
     """
     user = {"win32": "LOCALAPPDATA"}.get(sys.platform, "XDG_CACHE_HOME")
-    home = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    place = Path(numba.config.CACHE_DIR or Path(os.environ.get(user) or home) / "chemlab")
-    found = place / f"kernels-{_sources('chemlab')}"
-    own = found if module.partition(".")[0] == "chemlab" else found / _sources(module)
+    below = "Library/Caches" if sys.platform == "darwin" else ".cache"
     try:
+        place = Path(numba.config.CACHE_DIR or Path(os.environ.get(user) or Path.home() / below) / "chemlab")
+        found = place / f"kernels-{_sources('chemlab')}"
+        own = found if module.partition(".")[0] == "chemlab" else found / _sources(module)
         own.mkdir(parents=True, exist_ok=True)
         os.utime(found)
         if os.access(own, os.W_OK) and shutil.disk_usage(own).free > _ROOM_BYTES:
             _delete_unused(place)
             return own
-        reason = "not writable, or full"
-    except OSError as error:
-        reason = error.strerror or str(error)
+        reason: Any = f"{place} is not writable, or full"
+    except (OSError, RuntimeError) as error:  # a user without a home folder is a RuntimeError
+        reason = error
     _say_once(
-        f"compiled kernels cannot be stored in {place} ({reason}), so every process compiles them again; set "
-        "NUMBA_CACHE_DIR to another folder"
+        f"compiled kernels cannot be stored ({reason}), so every process compiles them again; set NUMBA_CACHE_DIR to "
+        "another folder"
     )
     return None
 

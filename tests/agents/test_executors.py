@@ -55,7 +55,9 @@ def slurm(folder: Path) -> Executor:
     import cloudpickle
 
     cloudpickle.register_pickle_by_value(job_functions)
-    return Workers(executors._Slurm("local", folder), 2)
+    backend = executors._Slurm("local", folder)
+    backend._engine.update_parameters(timeout_min=5)  # submitit takes jobs below ten minutes as timed out at its signal
+    return Workers(backend, 2)
 
 
 @pytest.fixture(params=["processes", *(pytest.param(name, marks=pytest.mark.slow) for name in ("slurm", "ray"))])

@@ -1,6 +1,7 @@
 """Sweeps: what is planned, that nothing finished is run again, and that failures are shown and do not stop the rest."""
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -15,7 +16,7 @@ from helpers import children, script, until
 from run_files import without_times
 from typer.testing import CliRunner
 
-from chemlab.agents.executors import executor
+from chemlab.agents.executors import Inline, executor
 from chemlab.agents.runs import Run
 from chemlab.agents.train.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
@@ -181,7 +182,7 @@ def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) 
         until(reached)
         assert status_of(one).state == "running"
         (child,) = children(process.pid)
-        os.kill(child, signal.SIGKILL)
+        os.kill(child, signal.SIGTERM)  # as a batch system does it before a node is taken
         until(lambda: child not in children(process.pid))
         lost = reached()
         until(lambda: reached() > lost)
@@ -196,6 +197,18 @@ def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) 
     assert one.log.read_text().count("resuming at step") == 2
     train(one.arguments, other.path)
     assert without_times(one.run) == without_times(other)
+
+
+def test_a_run_that_cannot_begin_ends_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("stable_baselines3")
+
+    def refused(words: list[str], log: Path) -> int:
+        raise OSError(errno.EDQUOT, "Disk quota exceeded", str(log))
+
+    monkeypatch.setattr("chemlab.agents.train.sweep.run_chemlab", refused)
+    runs = plan(sweep_file(tmp_path, f"{PPO}seeds = 2\n"), tmp_path / "out")
+    for one, now in zip(runs, run_sweep(runs, Inline(), lambda _: None), strict=True):
+        assert (now.state, "Disk quota exceeded" in now.note) == ("failed", True), one.name
 
 
 def test_waiting_for_another_process_takes_no_processor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

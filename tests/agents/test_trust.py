@@ -2,6 +2,7 @@
 that one works in. Every attack is shown to work where it is trusted, so that a refusal means something."""
 
 import base64
+import functools
 import json
 import os
 import pickle
@@ -18,6 +19,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
+from chemlab.agents import seals
 from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
 from chemlab.agents.seals import read_sealed, seal_file
@@ -321,9 +323,16 @@ def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.Monkey
     refused("written by another user", read_sealed, file)
 
 
-def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "no folder").write_text("")
-    monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "no folder" / "state"))
+@pytest.mark.parametrize("place", ["file/state", ""])
+def test_without_a_place_for_the_key_a_process_knows_its_own(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its folder cannot be made, or the user has no home folder."""
+    for name in ("XDG_STATE_HOME", "LOCALAPPDATA"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setenv("CHEMLAB_STATE_DIR", place and str(tmp_path / place))
+    monkeypatch.setattr("os.path.expanduser", str)
+    monkeypatch.setattr(seals, "_key", functools.cache(seals._key.__wrapped__))
     (tmp_path / "file").write_bytes(b"mine")
     with pytest.warns(UserWarning, match="set CHEMLAB_STATE_DIR to a writable folder"):
         seal_file(tmp_path / "file")

@@ -111,14 +111,18 @@ def test_kernels_that_nobody_uses_any_more_are_deleted(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", ["nowhere", "full"])
+@pytest.mark.parametrize("trouble", ["nowhere", "full", "homeless"])
 def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, tmp_path: Path) -> None:
     expected, _ = play(tmp_path / "cache")
-    place = tmp_path / trouble
+    place = "" if trouble == "homeless" else tmp_path / trouble
     if trouble == "nowhere":
-        place.touch()
-    full = "import shutil\nshutil.disk_usage = lambda path: type('usage', (), {'free': 0})\n"
-    out, err = play(place, (full if trouble == "full" else "") + PLAY)
+        (tmp_path / trouble).touch()
+    before = {
+        "full": "import shutil\nshutil.disk_usage = lambda path: type('usage', (), {'free': 0})\n",
+        "homeless": "import os\nos.path.expanduser = str\n",
+    }
+    nowhere = dict.fromkeys(("XDG_CACHE_HOME", "LOCALAPPDATA"), "")
+    out, err = play(place, before.get(trouble, "") + PLAY, **nowhere)
     assert out == expected
     assert err.count("chemlab:") == 1
     assert "cannot be stored" in err
