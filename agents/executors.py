@@ -9,7 +9,8 @@ other executors (of Dask, mpi4py) work as well. :func:`executor` makes one:
 | ``auto``, ``HOST:PORT`` | a Ray cluster (extra ``ray``) | number of its CPUs |
 | ``slurm`` | Slurm jobs (extra ``slurm``) with resources from the environment variables ``SBATCH_...`` | 64 |
 
-A job whose worker is lost (killed, out of memory, node failure) is retried, up to :data:`ATTEMPTS` attempts in total.
+A job whose worker is lost (killed, out of memory, at its time limit, node failure) is retried, up to :data:`ATTEMPTS`
+attempts in total.
 The result of a job depends only on its arguments, not on the worker or the number of attempts.
 """
 

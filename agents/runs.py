@@ -276,7 +276,7 @@ class Run:
             RunBusy: another process holds the lock.
         """
         self.checkpoints.mkdir(parents=True, exist_ok=True)
-        with (self.checkpoints / "lock").open("a+") as handle:
+        with (self.checkpoints / "lock").open("ab") as handle:
             if not wait_locked(handle.fileno(), patience):
                 raise RunBusy(f"{self.path}: another process is training this run; wait for it or give another --out")
             yield

@@ -359,9 +359,8 @@ def test_notebooks_run_what_their_pages_run(monkeypatch: pytest.MonkeyPatch) -> 
 
     for name in NOTEBOOKS:
         cells = json.loads(notebook((DOCS / name).read_text(encoding="utf-8")))["cells"]
-        shown = [
-            re.sub(r"\\\n +", "", b.text.rstrip()) for b in blocks_of(DOCS / name) if b.language in ("python", "bash")
-        ]
+        blocks = [block.text for block in blocks_of(DOCS / name) if block.language in ("python", "bash")]
+        shown = [text.rstrip().replace("\\\n    ", "") for text in blocks]
         found = [c["source"] for c in cells if c["cell_type"] == "code"]
         assert [source.replace("!chemlab ", "chemlab ") for source in found] == shown
         assert not any(re.search(r"^(chemlab |%%bash)", source, re.M) for source in found)
