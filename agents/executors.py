@@ -181,7 +181,7 @@ class Workers(ThreadPoolExecutor):
                 raise error from RuntimeError(f"in a worker:\n{trace}")
             return value
         raise WorkerLost(
-            f"a job's worker was lost {ATTEMPTS} times: it was refused, was killed, or ran out of memory (use fewer "
+            f"a job's worker was lost {ATTEMPTS} times: it was refused or killed, or ran out of memory (use fewer "
             f"--processes) or time (Slurm: SBATCH_TIMELIMIT); last: {' '.join(str(reason).split())[-500:]}. "
             "Finished jobs are kept if there is an output folder: the same command resumes"
         ) from reason
@@ -406,6 +406,6 @@ def run_chemlab(words: Sequence[str], log: Path) -> int:
                 code = child.wait()
             finally:
                 _running.discard(child)
-    if code < 0:
+    if code < 0 and code != -signal.SIGINT:
         raise WorkerLost(f"{log}: the command was killed by signal {-code}")
     return code

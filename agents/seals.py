@@ -31,7 +31,7 @@ _MOST_BYTES = 2_000_000_000
 
 
 def state_folder() -> Path:
-    """Return the folder of this user's key; ``~`` is the home folder, which some users of containers do not have."""
+    """Return the folder of this user's key; ``~`` is not expanded, because a user may have no home folder."""
     for name, below in (("CHEMLAB_STATE_DIR", ""), ("XDG_STATE_HOME", "chemlab"), ("LOCALAPPDATA", "chemlab")):
         if os.environ.get(name):
             return Path(os.environ[name], below)

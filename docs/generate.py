@@ -762,7 +762,7 @@ def notebook(page: str) -> str:
         if found:
             text = f"%%writefile {found[2]}\n{found[3]}" if found[2] else found[3]
             if found[1] == "bash":  # in the system's shell: on Windows, there may be no bash
-                text = re.sub(r"^(?=chemlab )", "!", re.sub(r"\\\n +", "", text), flags=re.M)
+                text = re.sub(r"^(?=[^\s#])", "!", re.sub(r"\\\n +", "", text), flags=re.M)
             cell |= {"source": text.rstrip(), "outputs": [], "execution_count": None}
         if cell["source"]:
             cells.append(cell)

@@ -211,7 +211,8 @@ def run_sweep(
             if code == RunBusy.exit_code:  # another sweep has just started it
                 queue.append(one)
             elif code != 0:
-                write_json(one.run.failed_file, {"exit_code": code, "log": one.log.name})
+                with suppress(OSError):  # a full disk
+                    write_json(one.run.failed_file, {"exit_code": code, "log": one.log.name})
         for one in [one for one in queue if not one.run.busy()]:
             queue.remove(one)
             one.run.path.mkdir(parents=True, exist_ok=True)
@@ -234,9 +235,9 @@ def _command(one: Planned) -> list[str]:
 
 
 def _exit_code(future: Future[int], log: Path) -> int:
-    """Return the exit code of a finished command; -9, as of a killed process, and the reason in its log if it had none.
+    """Return the exit code of a finished command; without one, return -9 and append the reason to the log.
 
-    Its worker was lost, or could not start it: a run that fails must not end the others.
+    A command has no exit code if its worker was lost or could not start it. Such a run must not end the others.
     """
     try:
         return future.result()

@@ -194,7 +194,8 @@ def main() -> None:
     print(*table(found), sep="\n")
     if given.out is not None and given.out.resolve() == STORED:
         replace_between(PAGE, "regret", table(found))
-        replace_between(PAGE, "fixed", fixed_table(found))
+        if "fixed" in found:
+            replace_between(PAGE, "fixed", fixed_table(found))
     if given.figure is not None:
         figure(found, given.figure)
 

@@ -323,6 +323,12 @@ def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.Monkey
     refused("written by another user", read_sealed, file)
 
 
+def homeless(path: Path) -> Path:
+    if path.parts[0] == "~":
+        raise RuntimeError("Could not determine home directory.")
+    return path
+
+
 @pytest.mark.parametrize("place", ["file/state", ""])
 def test_without_a_place_for_the_key_a_process_knows_its_own(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -331,7 +337,7 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(
     for name in ("XDG_STATE_HOME", "LOCALAPPDATA"):
         monkeypatch.setenv(name, "")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", place and str(tmp_path / place))
-    monkeypatch.setattr("os.path.expanduser", str)
+    monkeypatch.setattr(Path, "expanduser", homeless)
     monkeypatch.setattr(seals, "_key", functools.cache(seals._key.__wrapped__))
     (tmp_path / "file").write_bytes(b"mine")
     with pytest.warns(UserWarning, match="set CHEMLAB_STATE_DIR to a writable folder"):

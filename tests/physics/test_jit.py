@@ -119,7 +119,7 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, t
         (tmp_path / trouble).touch()
     before = {
         "full": "import shutil\nshutil.disk_usage = lambda path: type('usage', (), {'free': 0})\n",
-        "homeless": "import os\nos.path.expanduser = str\n",
+        "homeless": "import pathlib\ndef homeless(*_): raise RuntimeError\npathlib.Path.home = homeless\n",
     }
     nowhere = dict.fromkeys(("XDG_CACHE_HOME", "LOCALAPPDATA"), "")
     out, err = play(place, before.get(trouble, "") + PLAY, **nowhere)
