@@ -217,6 +217,19 @@ def test_camera_shows_solids_by_volume() -> None:
     assert (seen == salt).mean() == pytest.approx(share, abs=5.0 * spread)
 
 
+def test_layers_of_real_have_the_shade_of_their_contents() -> None:
+    """Their grey values, by volume, add up to those of the materials, though each layer holds some of both."""
+    glass = Glassware("wurtz_real")
+    glass.fill(0, {"water": 20.0, "diethyl_ether": 4.0}, 0.9)
+    glass.partition(0)
+    _, upper, lower = np.unique(pictures(glass, 7, 300))
+    shades = {name: glass.scenario.materials[name].shade for name in ("water", "diethyl_ether")}
+    assert shades["diethyl_ether"] < upper < lower < shades["water"]
+    _, wet, organic, _ = glass.profile(0)[1].sum(axis=1) / PIXELS * 0.9
+    expected = sum(shade * glass.volume(0, name) for name, shade in shades.items())
+    assert wet * lower + organic * upper == pytest.approx(expected, rel=1e-6)
+
+
 def test_no_vessel_is_black() -> None:
     """Where no vessel stands every pixel is 0, though the stream holds random numbers."""
     GLASS.fill(0, {"water": 10.0}, 0.9)[PRESENT] = 0.0
