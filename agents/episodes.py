@@ -175,7 +175,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         "limit": (labs.state.status == LIMIT).astype(np.float64),
         "nothing": (total == 0.0).astype(np.float64),
     }
-    measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
+    measures |= {f"reward {role.name}": rewards[:, role.index] for role in labs.bench_roles}
     return Played(labs.result(labs.members), labs.state.ticks.copy(), cost, illegal, [""] * n, measures)
 
 

@@ -27,6 +27,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, event_words, folded_lines
 from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench, channel_slices
+from chemlab.roles.bench_role import BenchRole
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
 from .briefs import brief, opaque_names
@@ -503,13 +504,14 @@ class Room:
             return "\n".join(folded_lines(view.lines(seen, only="goal" if at == "orders" else f"slot_{at}")))
         lines = view.lines(seen if whole else self._without_small_changes(agent, seen), whole)
         self._last_seen[agent] = seen
-        head, had = f"Turn {self._turns[agent]}", int(labs.roles[index].turns_had[0])
-        if index:
+        role = labs.roles[index]
+        head, had = f"Turn {self._turns[agent]}", int(role.turns_had[0])
+        if isinstance(role, BenchRole):
             whole = whole or had == 0
-            if not labs.state.busy[index - 1, 0]:
+            if not role.experiments.busy[0]:
                 head, lines = f"{head}: no experiment here", []
             elif whole:
-                head += f": step {had + 1} of {labs.benches[index - 1].spec.step_limit}"
+                head += f": step {had + 1} of {role.workplace.spec.step_limit}"
         before, self._shown[agent] = self._shown[agent], set(lines)
         shown = lines if whole else [line for line in lines if line not in before]
         if at:  # earlier readings of vessels at benches are details, too

@@ -231,7 +231,7 @@ def manager(budget: Budget) -> Outcome:
         algorithm.stop()
         shutil.rmtree(algorithm.logdir, ignore_errors=True)  # RLlib makes one in the home folder; it is empty
     labs = Laboratories(TARGET.scenario, budget.episodes)
-    policies = {**make_policies("scripted", labs), labs.agents[0]: learned}
+    policies = {**make_policies("scripted", labs), labs.manager.name: learned}
     return Outcome.of(play_laboratory(labs, policies, GOAL, AUDIT_SEED), steps)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Actions, Policy, Watching
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
@@ -130,7 +130,7 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], lea
             _Recorded(policy) for policy in trials.team_policies([plan], make_policies("scripted", trials.labs))
         ]
         scores = trials.play(recorded, 1)[0].astype(np.float32)
-        for agent, recorder in zip(trials.labs.agents, recorded, strict=True):
+        for agent, recorder in zip((MANAGER_AGENT, *trials.labs.bench_agents), recorded, strict=True):
             targets = [{**turn, "target": scores[turn["members"]]} for turn in recorder.turns]
             turns.setdefault(role_of(agent), []).extend(targets)
     for role, role_turns in turns.items():

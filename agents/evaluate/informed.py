@@ -97,7 +97,8 @@ def informed_scores(
         world_seeds = range(_WORLD_SEED, _WORLD_SEED + worlds)
         train_seen, train_scores = _table(scenario, context, plans, first, world_seeds, "train")
         test_seen, test_scores = _table(scenario, context, plans, first, [seed + i for i in members], "test")
-        by_manager = labs.observation_sizes[0] + 2 * scenario.orders  # amount and purity of each submission
+        # With amount and purity of each submission.
+        by_manager = labs.observation_sizes[labs.manager.index] + 2 * scenario.orders
         for scores, part in ((central, slice(None)), (feedback, slice(by_manager))):
             train, test = (seen[:, :, part].reshape(len(seen), -1) for seen in (train_seen, test_seen))
             scores[members] = test_scores[_choice(train, train_scores, test), np.arange(len(members))]
@@ -162,7 +163,7 @@ class _Observing(Playback):
         if len(rows):
             in_opening, accounts = members[rows], self._labs.manager.accounts(slice(None))
             parts = [observation[rows], accounts["submitted_mol"][in_opening], accounts["purity"][in_opening]]
-            parts += [self._labs.observe(number, in_opening) for number in range(1, len(self._labs.agents))]
+            parts += [self._labs.observe(role.index, in_opening) for role in self._labs.bench_roles]
             self.seen[in_opening, np.maximum(at[rows], 0)] = np.concatenate(parts, axis=1)
         return actions
 

@@ -193,16 +193,22 @@ class Trials:
                     policy.seed(member, np.random.SeedSequence([seed, number]))
 
     def play(self, policies: Sequence[Policy], count: int) -> FloatArray:
-        """Return [count, seeds] the manager's scores; environment i plays candidate i // len(seeds)."""
+        """Return [count, seeds] the manager's scores; environment i plays candidate i // len(seeds).
+
+        Args:
+            policies: the manager's, then those of the benches.
+            count: number of candidates.
+        """
         self.labs.restore(self._start)
+        own = dict(zip((self.labs.manager, *self.labs.bench_roles), policies, strict=True))
         members = self.labs.members[: count * len(self.seeds)]
-        Players(self.labs, policies).play_on(members)
+        Players(self.labs, [own[role] for role in self.labs.roles]).play_on(members)
         return self.labs.result(members).reshape(count, len(self.seeds))
 
     def team_policies(
         self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Playback | None = None
     ) -> list[Policy]:
-        """Return the policy of every agent for open-loop policies; arguments as for :meth:`play_teams`."""
+        """Return the policies for :meth:`play` of open-loop policies; arguments as for :meth:`play_teams`."""
         team_of = [team for team in teams for _ in self.seeds]
         benches = [policies[agent] for agent in self.labs.bench_agents]
         self.seed_policies(benches)
@@ -370,8 +376,8 @@ def _players(policy: str | PlanSearch, labs: Laboratories) -> dict[str, Policy]:
 
 
 def recorded_tapes(trials: Trials, policies: Mapping[str, Policy]) -> list[list[list[list[Any]]]]:
-    """Play one episode with each of the trials' seeds, and return the tapes [agents][environments]."""
-    ordered = [policies[agent] for agent in trials.labs.agents]
+    """Play one episode with each of the trials' seeds, and return the tapes [1 + benches][environments]."""
+    ordered = [policies[agent] for agent in (MANAGER_AGENT, *trials.labs.bench_agents)]
     trials.seed_policies(ordered)
     recorders = [TapeRecorder(policy, trials.labs.members) for policy in ordered]
     trials.play(recorders, 1)

@@ -1067,7 +1067,5 @@ def joined(parts: Sequence[Mapping[str, Arrays | None]]) -> dict[str, Arrays | N
 
 def wide_columns(scenario: Scenario) -> IntArray:
     """Return the columns of the manager's observation that :func:`compact` leaves out."""
-    whole, kept = Laboratories(scenario, 1), Laboratories(compact(scenario), 1)
-    return np.setdiff1d(
-        np.arange(whole.observation_sizes[0]), _columns(whole.roles[0].channels, kept.roles[0].channels)
-    )
+    whole, kept = (Laboratories(one, 1).manager for one in (scenario, compact(scenario)))
+    return np.setdiff1d(np.arange(whole.observation_space.shape[0]), _columns(whole.channels, kept.channels))

@@ -140,7 +140,7 @@ def observed_units(labs: Laboratories) -> list[Unit]:
         for order, (name, _) in enumerate(order_channels(scenario))
         for kind, channel in enumerate((name, *terms_channels(name)))
     }
-    for channel in labs.roles[0].channels:
+    for channel in labs.manager.channels:
         if channel.name == "told":
             for name in scenario.world.told_to("manager"):
                 draw = scenario.world.draws[name]

@@ -7,6 +7,7 @@ from chemlab.agents.evaluate.adversary import learned_scores
 from chemlab.agents.evaluate.informed import _choice, informed_scores, openings
 from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, TeamPlan
 from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.roles.manager_actions import ManagerActions
 
 CAMPAIGN = load_scenario("campaign")
@@ -29,14 +30,18 @@ def test_a_controller_chooses_by_what_it_has_seen() -> None:
 
 
 @pytest.mark.parametrize("opening", ["submission", "look-rxn"])
-def test_controllers_are_scored(opening: str) -> None:
+def test_controllers_are_scored(opening: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The opening costs at most its ticks, so that the score is about that of the only plan that is known."""
     assert openings(CAMPAIGN) == ["look-rxn", "submission"]
-    found = informed_scores(CAMPAIGN, opening, {CONTEXT: [TEAM]}, worlds=8, library=1, budget=1, episodes=3, seed=5)
+    settings = {"worlds": 8, "library": 1, "budget": 1, "episodes": 3, "seed": 5}
+    found = informed_scores(CAMPAIGN, opening, {CONTEXT: [TEAM]}, **settings)
     assert np.shape(found) == (2, 3)
     assert np.isfinite(found).all()
     if opening == "submission":  # of a plan of one submission there is no such opening
         assert informed_scores(CAMPAIGN, opening, {CONTEXT: [TeamPlan(())]}, 4, 1, 1, 2, 5) is None
+    agents = Scenario.agents
+    monkeypatch.setattr(Scenario, "agents", lambda self: agents(self)[::-1])
+    assert informed_scores(CAMPAIGN, opening, {CONTEXT: [TEAM]}, **settings) == found
 
 
 @pytest.mark.slow

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from helpers import record_episode
 
+from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.policies import make_policies
+from chemlab.agents.seats import Room
 from chemlab.config.scenario import Scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
@@ -49,3 +52,23 @@ def test_a_batch_pays_each_role_by_name(monkeypatch: pytest.MonkeyPatch) -> None
     assert sum(np.any(own) for own in usual.values()) > 1
     monkeypatch.setattr(Scenario, "agents", lambda self: [*agents(self)[2:], *agents(self)[:2]])
     assert sums() == usual
+
+
+def test_seats_and_learners_ask_for_roles(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    from chemlab.agents.train.ppo import wide_columns
+    from chemlab.agents.train.tied import observed_units
+
+    def found() -> tuple[Any, ...]:
+        room = Room("unlabelled", ("manager_0", "dit_0"), salt="0123456789abcdef" * 2, seed=3)
+        room.call("manager_0", "start", {"bench": "dit_0", "slot": 1, "goal": "dodecane"})
+        room.call("manager_0", "wait")
+        texts = [room.call(seat, "look").text for seat in ("manager_0", "dit_0")]
+        labs = Laboratories("wurtz_dodecane")
+        measures = play_laboratory(labs, make_policies("scripted", labs), None, 1).measures
+        made = {name: values.tolist() for name, values in measures.items()}
+        return texts, wide_columns(room.laboratories.scenario).tolist(), observed_units(room.laboratories), made
+
+    usual, agents = found(), Scenario.agents
+    monkeypatch.setattr(Scenario, "agents", lambda self: agents(self)[::-1])
+    assert found() == usual
