@@ -540,9 +540,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 OLD_NAMES: dict[str, str] = {
     "imitate": "bc",
     "imitate_steps": "bc_steps",
-    "imitate_rounds": "bc_rounds",
 }
-"""Names of arguments before 0.3; accepted for one release."""
+"""Names of arguments in 0.2.0; accepted for one release."""
 
 
 def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> Arguments:

@@ -144,7 +144,7 @@ def _number(value: float | None) -> str:
 
 
 _FIRST = ("roles", "bench", "algo")
-_OLD_OPTIONS = {"imitate": str, "imitate_steps": int, "imitate_rounds": int, "scenario": str}
+_OLD_OPTIONS = {"imitate": str, "imitate_steps": int, "scenario": str}
 
 
 def _options() -> list[Any]:
