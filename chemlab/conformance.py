@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import pickle
 import re
 import tempfile
@@ -216,9 +217,19 @@ def _played(scenario: Scenario, seed: int, rounds: int = _ROUNDS) -> _Episode:
     return episode
 
 
+def _episodes(scenario: Scenario) -> Iterator[_Episode]:
+    """Yield three or more random episodes that have just begun, until they have :data:`_ROUNDS` rounds together."""
+    env, rounds = parallel_env(scenario), 0
+    for seed in itertools.count():
+        yield (episode := _Episode(env, seed))
+        rounds += len(episode.actions)
+        if seed >= 2 and rounds >= _ROUNDS:
+            return
+
+
 def _check_spaces(scenario: Scenario) -> None:
-    for seed in range(3):
-        episode = _played(scenario, seed)
+    for episode in _episodes(scenario):
+        episode.play(_ROUNDS)
         for number, result in enumerate(episode.results):
             for agent, observation in result[0].items():
                 space = episode.env.observation_space(agent)
@@ -326,8 +337,7 @@ def _check_environments(scenario: Scenario) -> None:
 
 def _check_conservation(scenario: Scenario) -> None:
     atoms = element_matrix(scenario).T
-    for seed in range(3):
-        episode = _Episode(parallel_env(scenario), seed)
+    for episode in _episodes(scenario):
         labs = episode.env.laboratories
         initial = (labs.shelf.total() + labs.state.delivered)[0] @ atoms
         while not episode.over and len(episode.actions) < _ROUNDS:

@@ -56,6 +56,16 @@ def test_a_fault_is_found(check: str, tmp_path: Path) -> None:
         CHECKS[check][1](load_scenario(written(tmp_path, old, new)))
 
 
+def test_a_wrong_mask_is_found_at_a_bench_that_is_rarely_started(tmp_path: Path) -> None:
+    text = (PARTS.parent / "bench" / "filtration_bench.py").read_text()
+    file, mask = tmp_path / "filter.py", "row[FILTER] = experiments.busy[m] and self._wet(shelf, experiments, m)"
+    assert mask in text
+    file.write_text(text.replace(mask, "row[FILTER] = 1"))
+    benches = {"fil": {"kind": f"{file}:FiltrationBench", "step_limit": 5}}
+    with pytest.raises(Exception, match="fil_0: an action that its mask allows was invalid"):
+        CHECKS["spaces"][1](load_scenario({"base": "wurtz_dodecane", "name": "filtered", "benches": benches}))
+
+
 CLOGGED = """
 import numpy as np
 from clogging_bench import CloggingBench
