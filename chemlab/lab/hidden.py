@@ -132,16 +132,21 @@ def _put_contents(
 
 
 @kernel
-def _change_terms(members: IntArray, drawn: IntArray, values: FloatArray, terms: FloatArray) -> None:
-    """Apply draws to the ``terms`` [N, orders, quantities].
-
-    Each row of ``drawn`` [D, 4] has quantity, order, column of ``values`` [N, K], and change.
-    """
+def _change_terms(
+    members: IntArray,
+    quantity: IntArray,
+    order: IntArray,
+    column: IntArray,
+    change: IntArray,
+    values: FloatArray,
+    terms: FloatArray,
+) -> None:
+    """Apply draws [D each], which are columns of ``values`` [N, K], to the ``terms`` [N, orders, quantities]."""
     for i in range(members.shape[0]):
         n = members[i]
-        for d in range(drawn.shape[0]):
-            which, order = drawn[d, 0], drawn[d, 1]
-            terms[n, order, which] = _changed(terms[n, order, which], values[n, drawn[d, 2]], drawn[d, 3])
+        for d in range(order.shape[0]):
+            o, q = order[d], quantity[d]
+            terms[n, o, q] = _changed(terms[n, o, q], values[n, column[d]], change[d])
 
 
 @kernel
@@ -228,8 +233,8 @@ class Worlds:
             else:
                 self._parameters.append(self._parameter(scenario, draw, columns, column, where))
             column += draw.variables
-        self._drawn_terms = np.array(terms, dtype=np.int64).reshape(-1, 4)
-        """Rows as taken by :func:`_change_terms`."""
+        self._drawn_terms = np.ascontiguousarray(np.array(terms, dtype=np.int64).reshape(-1, 4).T)
+        """Arguments of :func:`_change_terms`."""
         self._base_terms = np.array(
             [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
         ).reshape(-1, len(ORDER_QUANTITIES))
@@ -438,8 +443,9 @@ class Worlds:
         scenario declares none.
         """
         terms[members] = self._base_terms
-        if len(self._drawn_terms):
-            _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
+        if self._drawn_terms.size:
+            quantity, order, column, change = self._drawn_terms
+            _change_terms(members, quantity, order, column, change, self.table.arrays.values, terms)
 
     def told(self, members: IntArray) -> dict[str, FloatArray]:
         """Return [B, T] hidden parameters by the bench or manager to which they are revealed, see :meth:`positions`."""

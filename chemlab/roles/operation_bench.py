@@ -123,10 +123,10 @@ class ApparatusRules(NamedTuple):
     """[A, 6] kind, vessel, target, material, magnitude, whether vessels are touched; kind -1 ends the experiment"""
     gauges: Annotated[FloatArray, Array("g 2")]
     """[g, 2] low and high of T (K), V (L), P (kPa), share of solids: the first g of them"""
-    limits: Annotated[FloatArray, Array("5")]
-    """[5] temperatures of the heating mantle and of the coolant in K; theoretical stages; reflux ratio; litres of
-    liquid retained per litre of solids in a filter
-    """
+    limits: Annotated[FloatArray, Array("4")]
+    """[4] temperatures of the heating mantle and of the coolant in K; theoretical stages; reflux ratio"""
+    cake_liquid: Annotated[float, Array("")]
+    """litres of liquid retained per litre of solids in a filter"""
     settle_per_step: Annotated[float, Array("")]
 
 
@@ -154,6 +154,7 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
         state.layers[m, vessel],
         state.profile[m, vessel],
         rules.limits,
+        rules.cake_liquid,
         int(rules.parts[state.goal[m], 0]),
         rules.work,
         rules.limits[:0],
@@ -349,9 +350,8 @@ class OperationBench(Bench):
         return {
             "table": self.table,
             "gauges": self.gauges,
-            "limits": np.array(
-                [options.hottest_k, options.coolest_k, options.stages, options.reflux, options.cake_liquid]
-            ),
+            "limits": np.array([options.hottest_k, options.coolest_k, options.stages, options.reflux]),
+            "cake_liquid": options.cake_liquid,
             "settle_per_step": options.settle_per_step,
         }
 

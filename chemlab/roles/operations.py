@@ -23,8 +23,6 @@ from ..physics.constants import TRACE_MOL
 if TYPE_CHECKING:
     from .bench import Bench
 
-_CAKE_LIQUID = 4
-"""Index in :attr:`Turn.limits`."""
 _LEAST_L = 1e-6
 """Litres of liquid below which nothing can be filtered."""
 _LEAST_DRIED_L = 1e-9
@@ -52,9 +50,9 @@ class Turn(NamedTuple):
     """
     profile: FloatArray
     limits: FloatArray
-    """[5] limits of the apparatus: see :func:`chemlab.physics.backends.heat`; then litres of liquid retained per litre
-    of solids in a filter
-    """
+    """[4] limits of the apparatus: see :func:`chemlab.physics.backends.heat`"""
+    cake_liquid: float
+    """litres of liquid retained per litre of solids in a filter"""
     goal: int
     """index of the goal of the experiment"""
     work: FloatArray
@@ -179,14 +177,14 @@ def _can_seed(turn: Turn, chem: Handle) -> bool:
 @inner
 def _filter(turn: Turn, chem: Handle) -> float:
     """Let the liquid run into the target; solids and crystals stay with some of it."""
-    litres = turn.magnitude * transfer.free_liquid(turn.row, turn.limits[_CAKE_LIQUID], chem)
+    litres = turn.magnitude * transfer.free_liquid(turn.row, turn.cake_liquid, chem)
     transfer.strain(turn.row, turn.target, litres, turn.layers, chem, turn.waste, turn.events)
     return 0.0
 
 
 @inner
 def _can_filter(turn: Turn, chem: Handle) -> bool:
-    return bool(transfer.free_liquid(turn.row, turn.limits[_CAKE_LIQUID], chem) > _LEAST_L)
+    return bool(transfer.free_liquid(turn.row, turn.cake_liquid, chem) > _LEAST_L)
 
 
 @inner

@@ -311,7 +311,7 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
     formation = np.array([MATERIALS[n].real.formation_enthalpy_j_mol for n in glass.names])  # type: ignore[union-attr]
     fusion = np.asarray(known.fusion)  # type: ignore[attr-defined]
     liquid = formation + np.where([MATERIALS[n].real.formation_state == "s" for n in glass.names], fusion, 0.0)  # type: ignore[union-attr]
-    limits = np.array([368.15, 275.15, 1.0, 1.0, 0.4])
+    limits = np.array([368.15, 275.15, 1.0, 1.0])
     boiled = 0
     glass.fill(0, {"benzoic_acid": 0.3, "salicylic_acid": 0.05, "NaCl": 0.1, "silica": 0.2}, capacity_l=50.0)
     glass.fill(1, {}, capacity_l=50.0)

@@ -180,7 +180,7 @@ def heat(
     Args:
         row, receiver: vessel rows.
         joules: offered heat in J.
-        limits: [4 or more] temperatures in K of the heating mantle and of the coolant, which bound the heat flow;
+        limits: [4] temperatures in K of the heating mantle and of the coolant, which bound the heat flow;
             theoretical stages between pot and condenser (1: the pot alone); reflux ratio, the mol that the
             column's head returns per mol that passes.
         chem: the chemistry.
