@@ -321,12 +321,8 @@ def test_tables_are_narrow_and_say_what_a_score_is(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     heads = re.findall(r"^\|(.*)\|\n\|[\s:|-]+\|$", text, re.M)
     assert sum(head.count("|") > 6 for head in heads) == WIDE.get(page.relative_to(DOCS).as_posix(), 0)
-    if any(re.search(r"\b(score|scored|scripted)\b", head) for head in heads) and page.name not in MADE:
+    if any(re.search(r"\b(score|scored|scripted)\b", head) for head in heads):
         assert "#what-a-score-means" in text or page.name == "glossary.md"
-
-
-MADE = ("laboratory.md", "summary.md")
-"""Pages of results that are written whole by the commands of ``studies/``."""
 
 
 def test_the_table_of_times_is_that_of_the_stored_runs() -> None:

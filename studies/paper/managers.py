@@ -33,7 +33,7 @@ from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 
-from .tables import number, read_runs, read_table, write_runs, write_table
+from .tables import SCORES, number, read_runs, read_table, write_runs, write_table
 
 EPISODES = 200
 """Number of episodes for each goal."""
@@ -286,8 +286,8 @@ def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | 
         )
         yield ""
         yield (
-            f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
-            f"seed {seed}, the same for all managers and not used in training. Means over episodes, goals "
+            f"Score: raw score ({SCORES}) of the best checkpoint of each run, without exploration: {episodes} episodes "
+            f"a goal from seed {seed}, the same for all managers and not used in training. Means over episodes, goals "
             f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % t intervals over the seeds of "
             "training; a single seed has none. "
             "Minus scripted: the score minus that of the scripted manager over the same benches. "

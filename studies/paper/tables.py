@@ -30,6 +30,9 @@ from chemlab.agents.evaluate.results import TrainedRun
 from chemlab.agents.runs import Evaluation, checked_config, checked_result
 from chemlab.config.files import write_bytes
 
+SCORES = "[what a score means](../glossary.md#what-a-score-means)"
+"""Link of the pages of results."""
+
 _SCALARS: dict[str, type] = {
     "label": str,
     "algo": str,

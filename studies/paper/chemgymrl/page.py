@@ -11,6 +11,7 @@ from chemlab.agents.evaluate.statistics import number_text
 from chemlab.config.display import markdown_table
 from chemlab.config.files import write_text
 
+from ..tables import SCORES
 from .figures import FIGURES
 from .results import EXPERIMENTS, Results
 from .statements import Finding, compare_with_paper
@@ -66,10 +67,10 @@ def _markdown(results: Results, folder: Path, lacking: Mapping[str, Sequence[str
     hours = sum(run.finished.seconds for cell in cells for run in cell.runs) / 3600.0
     yield from ("", "## Every experiment and algorithm", "")
     yield (
-        "Each run's best policy; mean over runs and interquartile mean with 95 % t intervals over the seeds of "
-        "training. As in Stable-Baselines3, environment i of a run has the run's seed + i: neighbouring seeds differ "
-        "in networks and exploration, and share most of their environments' random numbers. Last: mean over runs of "
-        "the last policy instead. P(better): "
+        f"Bench score ({SCORES}) of each run's best policy; mean over runs and interquartile mean with 95 % t "
+        "intervals over the seeds of training. As in Stable-Baselines3, environment i of a run has the run's seed + i: "
+        "neighbouring seeds differ in networks and exploration, and share most of their environments' random numbers. "
+        "Last: mean over runs of the last policy instead. P(better): "
         "probability that a run's return for a goal is above the scripted policy's, ties counting one half, mean over "
         "goals. Best after: steps to a run's best policy, median. Minutes are those of a run, on one core that others "
         f"may have shared: {hours:.1f} hours in all."
