@@ -119,7 +119,7 @@ def _take(
 
 
 @kernel
-def _err(
+def _disturb(
     members: IntArray,
     slots: IntArray,
     used: IntArray,
@@ -275,4 +275,4 @@ class InstrumentTable:
         handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
         _take(members, slots, used, readings, stream, *handles)
         off = self._right if drifted is None else drifted
-        _err(members, slots, used, readings, stream, off, self.rules.handle)
+        _disturb(members, slots, used, readings, stream, off, self.rules.handle)
