@@ -41,7 +41,7 @@ def test_scenarios_are_loaded_without_a_compiler() -> None:
 
 
 def test_public_names_are_imported_when_they_are_used() -> None:
-    assert set(chemlab.__all__) <= set(dir(chemlab))
+    assert dir(chemlab) == sorted(chemlab.__all__)
     for name, module in chemlab._MODULES.items():
         assert getattr(chemlab, name) is getattr(importlib.import_module(f"chemlab.{module}"), name)
     with pytest.raises(AttributeError, match="module 'chemlab' has no attribute 'reactor'"):
