@@ -73,6 +73,7 @@ def test_help_shows_commands_in_panels() -> None:
     """Every command is in the panel that names it, with -h as with --help."""
     shown, same = (runner.invoke(app, [flag], env={"COLUMNS": "80"}).stdout for flag in ("-h", "--help"))
     assert shown == same
+    assert sum(map(len, PANELS.values())) <= 20
     places = [shown.index(f"─ {panel} ─") for panel in PANELS]
     assert places == sorted(places)
     for names, start, stop in zip(PANELS.values(), places, [*places[1:], len(shown)], strict=True):
@@ -269,7 +270,7 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     command(*arguments)
     said = command("export", "starts", "fictitious", code=2)
     assert "fictitious: its recorded vessels are part of the package" in said
-    assert "chemlab run 'a folder/made.toml'" in command("generate", "made", "-o", "a folder")
+    assert "chemlab run 'a folder/made.toml'" in command("data", "generate", "made", "-o", "a folder")
     if find_spec("ugropy"):
         new = ["new", "made", "--reactions", "a folder/made_reactions.toml", "-o", "a folder/made_reactions.toml"]
         assert "is an input of this command" in command(*new, code=2)
@@ -524,7 +525,7 @@ def test_a_full_disk_and_a_reader_who_has_seen_enough() -> None:
 def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A result under the name of a scenario, record, policy or run that the command reads, whatever is forced."""
     monkeypatch.chdir(tmp_path)
-    command("generate", "lab")
+    command("data", "generate", "lab")
     command("run", "fictitious", "--record", "a.jsonl", "--json")
     Path("link.json").symlink_to("lab.toml")
     Path("based.toml").write_text('base = "lab.toml"\n')

@@ -30,7 +30,7 @@ PANELS: dict[str, tuple[str, ...]] = {
     "Play": ("run", "play", "serve", "mcp", "list", "describe", "warm"),
     "Train": ("train", "sweep", "export"),
     "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
-    "Author": ("check", "new", "generate", "data"),
+    "Author": ("check", "new", "data"),
     "Records": ("verify", "replay", "plot"),
 }
 """Panels of ``chemlab --help`` with their commands, in the order of display."""

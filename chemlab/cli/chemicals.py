@@ -1,4 +1,4 @@
-"""Commands that write data files and scenarios: data, new, generate."""
+"""Commands that write data files and scenarios: data, new."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..openchem.identity import Compound
     from ..openchem.templates import Found, Rate, Species
 
-data = typer.Typer(help="Write data files of your own chemistry (needs the extra `chem`).", no_args_is_help=True)
+data = typer.Typer(help="Write data files of your own or of a random chemistry.", no_args_is_help=True)
 app.add_typer(data, name="data")
 
 MaterialsOption = Annotated[list[Path] | None, typer.Option(help="Your own material file; repeatable.")]
@@ -569,7 +569,7 @@ def _goal_and_solvent(
     return goal, solvent
 
 
-@app.command()
+@data.command()
 def generate(
     name: Annotated[str, typer.Argument(help="Name of the scenario: lower-case letters, digits and _.")],
     seed: Annotated[int, typer.Option(help="Seed of the chemistry.")] = 0,

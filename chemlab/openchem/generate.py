@@ -196,7 +196,7 @@ def generated(
         raise DataError(f"goals = {goals}: must be from 1 to {size.steps}, one for each step of the route")
     name = name or f"chemistry_{seed}"
     command = (
-        f"chemlab generate {name} --seed {seed} --materials {size.materials} --reactions {size.reactions} "
+        f"chemlab data generate {name} --seed {seed} --materials {size.materials} --reactions {size.reactions} "
         f"--steps {size.steps} --goals {goals} --difficulty {difficulty} --physics {physics}"
     )
     draws = Draws("chemlab", seed, size.materials, size.reactions, size.steps, goals, difficulty, physics)
