@@ -190,10 +190,10 @@ def _order_lines(spec: Scenario, maxima: Mapping[str, float]) -> list[str]:
 def _bench_lines(bench: Bench) -> list[str]:
     """Return the lines of a bench's agent: score, limits, vessels, gauges and noise."""
     gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
-    ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
+    blank = dict.fromkeys(blank_channels(bench), " (not shown)")
+    ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}{blank.get(c.name, '')}" for c in gauges)
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
     shown = " What is mostly noise is shown only at the first step, and by look." if noisy_channels(bench) else ""
-    blank = blank_channels(bench)
     coarse = ", ".join(f"{name} {step:g}" for name, step in bench.spec.resolution.items() if name not in blank)
     return [
         f"You operate {'an' if bench.kind[0] in 'aeiou' else 'a'} {bench.kind} bench. "

@@ -109,7 +109,7 @@ def _bench_tables(bench: Bench, level: str) -> str:
         [
             f"{level} Observation of `{bench.key}`: Box({space[0]})",
             "",
-            _facts(facts.channel_table(bench.channels)),
+            _facts(facts.channel_table(bench)),
             f"{level} Actions of `{bench.key}`: {facts.space_words(bench.action_space)}",
             "",
             _facts(facts.action_table(bench.action_meanings, bool(bench.action_count))),
@@ -131,7 +131,7 @@ def _spaces_of_all(labs: Laboratories) -> str:
         _facts(facts.agent_table(labs)),
         f"### Observation of `{MANAGER_AGENT}`: Box({labs.observation_sizes[0]})",
         "",
-        _facts(facts.channel_table(labs.channels)),
+        _facts(facts.channel_table(labs.manager.workplace)),
         f"### Actions of `{MANAGER_AGENT}`: Discrete({len(labs.actions)})",
         "",
         _facts(facts.manager_action_table(labs)),

@@ -193,6 +193,10 @@ def test_what_mixes_with_water_is_one_liquid() -> None:
         flask = Flask({name: 1.0, "water": 4.0})
         assert len(flask.layers) == 2
         assert "two layers at room temperature although the liquids mix" in flask.report()
+    for name, measured, most in (("cyclohexane", 5.5e-5, 300.0), ("hexane", 1.1e-5, 300.0), ("toluene", 5.3e-4, 2.0)):
+        aqueous = Flask({name: 2.0, "water": 20.0}).layers[0]  # docs/chemist/extraction.md
+        mass = aqueous.contents[name] * Flask.material(name).molar_mass_g_mol / (18.015 * aqueous.contents["water"])
+        assert 1 / most < mass / measured < most, name
 
 
 def test_every_two_molecules_are_a_pair() -> None:

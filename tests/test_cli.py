@@ -332,6 +332,12 @@ def test_a_scenario_is_described_as_it_is(name: str) -> None:
             assert one["actions"]["meanings"] == labs.actions.action_meanings
 
 
+def test_noise_and_what_always_reads_0_are_described() -> None:
+    observed = " ".join(command("describe", "unlabelled", "--agent", "rxn_0").split())
+    assert "volume the piston leaves; always 0" in observed
+    assert "noise 0.05" in observed
+
+
 @pytest.mark.parametrize(
     ("name", "observers"),
     [("relay", {"first_limit": "`rxn`", "titre": "no agent", "price": "manager, on arrival"}), ("relay@1", {})],

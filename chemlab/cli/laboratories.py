@@ -134,7 +134,7 @@ def _show_agent(labs: Laboratories, agent: str) -> None:
 
     number = labs.agents.index(agent)
     role, space = labs.roles[number], facts.space_words(labs.action_space(number))
-    _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.channels))
+    _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.workplace))
     _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, role.action_count > 0))
     if role is not labs.manager:
         page.print(f"Reward at the end of an experiment: {plain(role.workplace.score_meaning)}.")

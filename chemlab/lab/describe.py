@@ -15,8 +15,10 @@ import gymnasium
 
 from ..config.draws import ORDER_QUANTITIES
 from ..config.scenario import DemandSpec, InstrumentSpec, ProductSpec, Scenario
-from ..roles.bench import Channel
+from ..roles.base import Workplace
+from ..roles.bench import Bench
 from .engine import Laboratories
+from .text import blank_channels
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,19 @@ def space_words(space: Any) -> str:
     return f"Discrete({space.n})" if isinstance(space, gymnasium.spaces.Discrete) else f"Box({space.shape[0]})"
 
 
-def channel_table(channels: Sequence[Channel]) -> FactTable:
+def _errors(workplace: Workplace, name: str) -> str:
+    """Describe noise and resolution, as shares of full scale, of a channel that its agent does not observe exactly."""
+    if not isinstance(workplace, Bench):
+        return ""
+    if name in blank_channels(workplace):
+        return "; always 0"
+    errors = {"noise": workplace.spec.noise, "resolution": workplace.spec.resolution}
+    return "".join(f"; {what} {values[name]:g}" for what, values in errors.items() if name in values)
+
+
+def channel_table(workplace: Workplace) -> FactTable:
     """Return a row for each channel; channels that are the same for every slot of the shelf are listed once."""
+    channels = workplace.channels
     first = [channel for channel in channels if channel.name.startswith("slot_0_")]
     slots = len({channel.name.split("_")[1] for channel in channels if channel.name.startswith("slot_")})
     width = sum(channel.size for channel in first)
@@ -95,7 +108,8 @@ def channel_table(channels: Sequence[Channel]) -> FactTable:
             if slots > 1:
                 place, name = f"{width} s + {place}", name.replace("slot_0_", "slot_s_")
         bounds = "" if channel.unit in ("one-hot", "0 or 1", "fraction") else f"{channel.low:g} to {channel.high:g} "
-        rows.append((place, code(name), channel.size, bounds + channel.unit, channel.meaning))
+        meaning = channel.meaning + _errors(workplace, name)
+        rows.append((place, code(name), channel.size, bounds + channel.unit, meaning))
     note = f"s is the slot, 0 to {slots - 1}." if slots > 1 else ""
     return _facts(("index", "channel", "size", "0 to 1 stands for", "meaning"), rows, (2,), note)
 

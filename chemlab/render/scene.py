@@ -26,6 +26,7 @@ from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, IntArray
 from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
+from ..lab.text import blank_channels
 from ..physics.chemistry import AMOUNTS, PRESENT, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.shelf import Shelf
@@ -150,7 +151,7 @@ class BenchPicture:
     vessels: tuple[VesselPicture, ...]
     """vessels at the bench"""
     seen: tuple[ChannelPicture, ...]
-    """observation channels without the goal; empty if the bench is idle"""
+    """observation channels without the goal and without channels that always read 0; empty if the bench is idle"""
     events: tuple[tuple[str, float], ...]
     """safety events of the last action, by kind"""
 
@@ -410,7 +411,7 @@ def _bench(camera: Camera, bench: Bench, experiments: Experiments, member: int, 
         observation = np.zeros((1, *bench.observation_space.shape), dtype=np.float32)
         bench.observe(camera.shelf, experiments, np.array([member]), observation)
         for channel, part in zip(bench.channels, channel_slices(bench.channels).values(), strict=True):
-            if channel.name != "goal":
+            if channel.name not in ("goal", *blank_channels(bench)):
                 values = tuple(observation[0, part].tolist())
                 seen.append(ChannelPicture(channel.name, channel.unit, channel.low, channel.high, values))
     return BenchPicture(

@@ -384,6 +384,7 @@ def test_introductions_have_prices_and_names_of_what_is_observed() -> None:
     relay = Room("relay", RELAY)
     assert "An order not met costs 0.1 of its price." in relay.brief("manager_0")
     assert "revealed to fin as second_limit" in relay.brief("fin_0")
+    assert "volume 0.6 to 1.6 L (not shown)" in relay.brief("fin_0")
     refine = "each for F (at most 3 mol; is judged by its purity among A, D, G, J and itself)."
     assert refine in Room("refine").brief("manager_0"), "no purity is needed"
     salt = Room("salt_from_oil", ("ext_0",))

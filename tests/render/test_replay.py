@@ -342,6 +342,9 @@ def test_the_switch_hides_what_agents_do_not_see(page: Any) -> None:
     assert not re.search(r"\d L", page.inner_text("#benches"))
     page.click("text=True contents")
     assert page.inner_text("#composition") == shown
+    at = turn(page)
+    page.keyboard.press("ArrowRight")
+    assert turn(page) == at + 1, "the keys are the page's after the mouse"
 
 
 def test_what_was_measured_is_what_the_manager_sees(page: Any, episode: Path) -> None:

@@ -230,7 +230,7 @@ def test_a_bench_shows_nothing_before_its_first_turn() -> None:
     assert bench.vessels[0].contents == ()
     env.step(env.laboratories.actions.encode("wait"))
     (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
-    assert bench.seen
+    assert [channel.name for channel in bench.seen] == ["temperature", "pressure", "reagents"], "others always read 0"
     assert bench.vessels[0].contents == ()
 
 
