@@ -19,7 +19,7 @@ from chemlab.lab.engine import Laboratories
 
 from ..episodes import Played, play_bench, play_laboratory
 from ..executors import Inline, completed
-from ..former_names import SAMPLED, current_name, split_way
+from ..former_names import GREEDY, SAMPLED, current_name, split_way
 from ..policies import bench_policy, make_policies
 from ..runs import versions
 from ..saved import is_saved
@@ -246,7 +246,8 @@ def notes(results: dict[str, Any]) -> list[str]:
         for measure, words in _OBSTACLES.items():
             share = measures.get(measure, 0.0)
             if share > _MOST and reference.get(measure, 0.0) <= _MOST:
-                advice = f"; compare {split_way(name)[0]}:{SAMPLED}" if is_saved(name) else ""
+                base = split_way(name)[0]
+                advice = f"; compare {base}:{GREEDY} and {base}:{SAMPLED}" if is_saved(name) else ""
                 found.append(f"{name} {words} in {share:.0%} of the episodes{advice}")
     return found
 

@@ -9,6 +9,7 @@ Needs PyTorch: ``pip install ".[train]"``.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -174,9 +175,12 @@ class Team(Trainee):
     def _evaluate(
         self, learned: Mapping[str, PretrainedPolicy], background: str, episodes: int, seed: int
     ) -> dict[str, float]:
-        """Return the mean raw score by goal of learned policies by role; background policies play the other roles."""
+        """Return the mean raw score by goal of learned policies by role; background policies play the other roles.
+
+        There is a warning if a checkpoint's policies mostly submit nothing.
+        """
         labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
-        means = {}
+        means, nothing = {}, []
         for goal in self.scenario.lab_goals:
             policies: dict[str, Policy] = {}
             for index, agent in enumerate(labs.agents):
@@ -185,7 +189,13 @@ class Team(Trainee):
                     policies[agent] = agent_policy(background, labs, index)
                 else:
                     policies[agent] = as_trained(policy.as_played(None), labs, index)
-            means[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
+            played = play_laboratory(labs, policies, goal, seed)
+            means[goal] = float(played.returns.mean())
+            nothing.append(played.measures["nothing"].mean())
+        share = np.mean(nothing)
+        if learned is self._taken and share > 0.5:
+            text = f"the best checkpoint submits nothing in {share:.0%} of the episodes; give more --steps"
+            warnings.warn(f"{text}, or longer help against sparse reward (docs/training.md)", stacklevel=2)
         return means
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:

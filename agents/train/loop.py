@@ -216,8 +216,7 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
         watcher: observer of the run.
     """
     a, p, total = trainee.arguments, progress, trainee.steps
-    if p.step:
-        tidy(run, p.step, p.best_step)
+    tidy(run, p.step, p.best_step)
     run.rewind(p.step)
     scripted = trainee.scripted(a.eval_episodes, EVALUATION_SEED)
     begun = time.perf_counter() - p.seconds

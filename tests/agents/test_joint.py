@@ -231,14 +231,15 @@ def test_practised_benches_are_greedy_under_a_sampled_manager(tmp_path: Path, mo
 
     def play(labs: Any, policies: Any, goal: str, seed: int) -> Any:
         played.append({agent for agent, policy in policies.items() if policy.card.sampled})
-        return SimpleNamespace(returns=np.zeros(1))
+        return SimpleNamespace(returns=np.zeros(1), measures={"nothing": np.ones(1)})
 
     monkeypatch.setattr(joint, "play_laboratory", play)
     run.save(kept, Progress(1, sampled=True), None)
     run.team.fixed = {"rxn", "dit"}
     run.scores(1, 0, True)
     run.take(kept)
-    run.scores(1, 0, True)
+    with pytest.warns(UserWarning, match="the best checkpoint submits nothing in 100% of the episodes; give more"):
+        run.scores(1, 0, True)
     assert played == [{"manager_0"}, {"manager_0", "rxn_0", "dit_0"}], "a checkpoint plays as it did before that"
 
 

@@ -422,7 +422,8 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
     said = ["random ran out of actions or ticks in 90%", "random submitted nothing in 60%"]
     assert [line.partition(" of the episodes")[0] for line in notes(results)] == said
     results["policies"][0] = row("scripted", limit=1.0, nothing=0.0)  # type: ignore[index]
-    assert len(notes(results)) == 1
+    results["policies"].append(row("rush_manager:sampled", nothing=0.9))  # type: ignore[attr-defined]
+    assert notes(results)[-1].endswith("; compare rush_manager:greedy and rush_manager:sampled")
 
 
 @pytest.mark.slow

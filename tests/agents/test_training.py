@@ -152,6 +152,11 @@ def test_training_leaves_other_folders_alone(tmp_path: Path) -> None:
     for other in others:
         other.parent.mkdir(parents=True, exist_ok=True)
         other.write_text("mine")
+    draft, watcher = tmp_path / "checkpoints" / "new-64", Stop(99)
+    draft.mkdir()  # of a crash or a full disk
+    watcher.begun = Mock(side_effect=lambda *_: draft.rmdir())  # type: ignore[method-assign]
+    with pytest.raises(FileNotFoundError):
+        train(small("dqn"), tmp_path, watcher)
     train(small("dqn"), tmp_path)
     assert [other.read_text() for other in others] == ["mine"] * 3
     assert len(list((tmp_path / "checkpoints" / "replay").iterdir())) == 2
